@@ -48,3 +48,17 @@ def test_follow_takes_friction_and_load_together(run: Run, files: tuple[str, str
     assert both["friction_heat_mJ"] > 0
     assert both["tip_position_mm"] != pytest.approx(shaken["tip_position_mm"], abs=1e-3)
     assert both["tip_position_mm"][0] > free["tip_position_mm"][0] + 0.5
+
+
+def test_follow_takes_the_friction_of_a_bundle(run: Run, tmp_path: Path) -> None:
+    robot, path = tmp_path / "bundle.yaml", tmp_path / "way.csv"
+    tubes = ROBOT.split("tubes:")[1].replace("material: nitinol}", "offset_mm: 1.5, angle_deg: 0}", 1)
+    tubes = tubes.replace("material: nitinol}", "offset_mm: 1.5, angle_deg: 180}")
+    robot.write_text("kind: bundle\ntubes:" + tubes)
+    path.write_text("rotation_1_deg,rotation_2_deg\n0,0\n90,0\n60,-40\n")
+    last = json.loads(run("follow", str(robot), str(path), "--json").out)["waypoints"][2]
+    assert last["friction_heat_mJ"] > 0
+    shaken = json.loads(run("follow", str(robot), str(path), "--shaken", "--json").out)["waypoints"][2]
+    band = json.loads(run("fk", str(robot), "--rotations-deg", "60,-40", "--json").out)["tip_by_history_mm"]
+    off = [abs(a - b) for a, b in zip(last["tip_position_mm"], shaken["tip_position_mm"], strict=True)]
+    assert all(0 < a < 1.1 * largest for a, largest in zip(off, band, strict=True))

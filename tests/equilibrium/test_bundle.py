@@ -17,6 +17,7 @@ from tubeopt import (
     BundleRobot,
     ConcentricRobot,
     EccentricRobot,
+    Friction,
     Load,
     Measurements,
     SegmentedEccentricRobot,
@@ -28,6 +29,8 @@ from tubeopt import (
     find_stroke_force,
     follow,
     forward_kinematics,
+    friction_band,
+    load_equilibrium,
     load_robot,
     plan_trajectory,
     snap_free_certificate,
@@ -40,6 +43,7 @@ from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import Command
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.directions import PARAMETERS
+from tubeopt.equilibrium.friction import to_held_equilibrium
 from tubeopt.equilibrium.jacobian import derivatives_of, shifted
 from tubeopt.equilibrium.kinematics import point_of, unsolved
 from tubeopt.equilibrium.problem import Discretisation
@@ -51,6 +55,7 @@ from tubeopt.planning.question import PlanOptions
 from tubeopt.robots.eccentric import free_channel
 from tubeopt.robots.file import robot_from_dict, robot_to_dict
 from tubeopt.show.plan_report import TrajectoryReport
+from tubeopt.stability.friction_path import segment_with_friction, start_with_friction
 from tubeopt.typing import Array
 from tubeopt.validation.fitting import FitOptions, fit
 
@@ -85,15 +90,24 @@ def random_bundle(rng: np.random.Generator, tightest: float = 0.15) -> tuple[Bun
 
 
 def shoot(
-    robot: BundleRobot, pose: Any, constant: Array, force: Array, tolerance: float = 1e-12
+    robot: BundleRobot,
+    pose: Any,
+    constant: Array,
+    force: Array,
+    tolerance: float = 1e-12,
+    rubs: Array | float = 0.0,
 ) -> tuple[Array, Array]:
     """Arm by integration from the plate, with the torsion of `pose` there; what is violated at the ends, and the tip.
 
     Each tube in its frictionless channel bends, twists and pulls:  kt w' = kb kappa (u_x sin theta - u_y cos theta) and
     N = kb (kappa^2 - |v|^2) / 2 - kt w^2 / 2 - lambda. At its end w = 0, and sliding its end along gains no energy:
     lambda g = psi g + the energy that the other tubes lose, since their curvature jumps there.
+
+    A channel that resists the turn of a tube by `rubs` (n,) per length adds that to kt w', and to N' by w times it:
+    V = t x M' carries no couple along t, so that N_t' = -M'.v as before. Then lambda' = -w rubs from `constant` on.
     """
     n, alpha, shift = robot.n_tubes, pose.rotations, pose.translations
+    rubbed = np.zeros(n) + rubs
     names = ("bending_stiffness", "torsional_stiffness", "curvature", "straight_length", "length")
     kb, kt, kappa, straight, whole = (np.array([float(getattr(t, name)) for t in robot.tubes]) for name in names)
     phi, d, own = np.array(robot.angle), np.array(robot.offset), whole - straight + shift
@@ -102,12 +116,12 @@ def shoot(
     def strain(u: Array, theta: Array) -> Array:
         return u / (1 + lever @ u)[:, None] - kappa[:, None] * np.column_stack([np.cos(theta), np.sin(theta)])
 
-    def potential(u: Array, theta: Array, w: Array, moment: Array, there: Array) -> float:
+    def potential(u: Array, theta: Array, w: Array, moment: Array, there: Array, constant: Array) -> float:
         """Energy per length less the parts p theta' and lambda g, whose least value has the curvature."""
         psi = kb * (strain(u, theta) ** 2).sum(1) / 2 - kt * w**2 / 2 - constant
         return float(there @ (psi * (1 + lever @ u)) + robot.sheath_stiffness * u @ u / 2 - moment @ u)
 
-    def curvature(theta: Array, w: Array, moment: Array, there: Array) -> Array:
+    def curvature(theta: Array, w: Array, moment: Array, there: Array, constant: Array) -> Array:
         def balance(u: Array) -> Array:
             axial = kb * (kappa**2 - ((u / (1 + lever @ u)[:, None]) ** 2).sum(1)) / 2 - kt * w**2 / 2 - constant
             bend = kb[:, None] * strain(u, theta)
@@ -120,18 +134,19 @@ def shoot(
         return u
 
     def moment_at(y: Array) -> Array:
-        return (y[3 * n + 3 :].reshape(3, 3).T @ np.cross(pose.tip_position - y[3 * n : 3 * n + 3], force))[:2]
+        return (y[3 * n + 3 : -n].reshape(3, 3).T @ np.cross(pose.tip_position - y[3 * n : 3 * n + 3], force))[:2]
 
     def rates(y: Array, there: Array) -> Array:
-        theta, w, frame = y[:n], y[n : 2 * n], y[3 * n + 3 :].reshape(3, 3)
-        u = curvature(theta, w, moment_at(y), there)
+        theta, w, frame, held = y[:n], y[n : 2 * n], y[3 * n + 3 : -n].reshape(3, 3), y[-n:]
+        u = curvature(theta, w, moment_at(y), there, held)
         g = 1 + lever @ u
         spin = np.array([[0, 0, u[1]], [0, 0, -u[0]], [-u[1], u[0], 0.0]])
-        twist = kb * kappa * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) / kt
-        return np.concatenate([g * w * there, twist * there, g, frame[:, 2], (frame @ spin).ravel()])
+        twist = (kb * kappa * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) + g * rubbed) / kt
+        along = [frame[:, 2], (frame @ spin).ravel(), -rubbed * w * g * there]
+        return np.concatenate([g * w * there, twist * there, g, *along])
 
     w0 = pose.torsion[:, 0] / (1 + lever @ pose.curvature[0])
-    y = np.concatenate([alpha + (straight - shift) * w0, w0, np.zeros(n + 3), np.eye(3).ravel()])
+    y = np.concatenate([alpha + (straight - shift) * w0, w0, np.zeros(n + 3), np.eye(3).ravel(), constant])
     there, violated = np.ones(n), np.zeros((2, n))
     s = 0.0
     for i in np.argsort(pose.tube_end):
@@ -147,16 +162,16 @@ def shoot(
             atol=tolerance / 10,
         )
         s, y = float(flow.t[-1]), flow.y[:, -1]
-        theta, w, moment, after = y[:n], y[n : 2 * n], moment_at(y), there * (np.arange(n) != i)
-        u = curvature(theta, w, moment, there)
-        rest = potential(u, theta, w, moment, after)
+        theta, w, moment, after, held = y[:n], y[n : 2 * n], moment_at(y), there * (np.arange(n) != i), y[-n:]
+        u = curvature(theta, w, moment, there, held)
+        rest = potential(u, theta, w, moment, after, held)
         if after.any():
-            rest -= potential(curvature(theta, w, moment, after), theta, w, moment, after)
+            rest -= potential(curvature(theta, w, moment, after, held), theta, w, moment, after, held)
         else:
-            rest -= float(y[3 * n + 3 :].reshape(3, 3)[:, 2] @ force)  # the tip moves with the last end
+            rest -= float(y[3 * n + 3 : -n].reshape(3, 3)[:, 2] @ force)  # the tip moves with the last end
         g = 1 + lever[i] @ u
         psi = kb[i] * (strain(u, theta)[i] ** 2).sum() / 2 + kt[i] * w[i] ** 2 / 2
-        violated[:, i] = kt[i] * w[i], constant[i] - psi - rest / g
+        violated[:, i] = kt[i] * w[i], held[i] - psi - rest / g
         there = after
     return violated, y[3 * n : 3 * n + 3]
 
@@ -762,3 +777,104 @@ def test_a_certificate_of_the_balance_is_none_of_the_energy() -> None:
     beyond = bundle.fk(first + 1.2 * (last - first))
     landed = follow(bundle, [snap.after.rotations, beyond.rotations], start=snap.after)
     assert landed.equilibria[-1].tip_position == pytest.approx(beyond.tip_position, abs=1e-9)
+
+
+# --- Friction ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_friction_in_the_channels_is_that_of_integrated_torques(seed: int) -> None:
+    """After a turn of all tubes all of their length slips: each has a known torque per length, which also pulls."""
+    rng = np.random.default_rng(seed)
+    robot, alpha, shift = random_bundle(rng)
+    force, n = rng.uniform(-0.2, 0.2, 3) * (seed % 2), robot.n_tubes
+    load, torque = Load(tuple(force)) if seed % 2 else None, rng.uniform(0.002, 0.006, n)
+    before = np.concatenate([alpha - 1.5 * rng.choice([-1, 1], n), shift])
+    held = start_with_friction(robot, before, Friction(tuple(torque)), None, load)
+    held, _ = segment_with_friction(robot, held, np.concatenate([alpha, shift]), load)
+    assert held.increment.signs.all()
+    state, place, pose = held.increment.state.elastic, held.contact.place, to_held_equilibrium(robot, held, "follow")
+    problem, twist = state.problem, state.turn / state.length
+    rubs = -np.array([held.increment.signs[place.inner == i][0] for i in range(n)]) * torque
+    # Torques in front of a place pull there, too: lambda at the plate is that at the end and their work.
+    pull = (held.increment.torque * twist[place.point, place.inner]) @ (place.up_to @ problem.in_section.T)
+    constant = length_forces(state)
+    for boundary, value in zip(problem.order, (pull @ problem.lengths_by_boundaries).tolist(), strict=True):
+        constant[list(boundary.ends)] += value
+    constant += rubs * (problem.weight @ np.where(problem.present, state.turn, 0.0))
+    violated, tip = shoot(robot, pose, constant, force, rubs=rubs)
+    assert np.abs(violated).max() < 1e-6
+    assert np.abs(tip - pose.tip_position).max() < 1e-9
+    free = robot.fk(alpha, shift, load=load)
+    assert np.linalg.norm(free.tip_position - pose.tip_position) > 1e-6
+
+
+@pytest.mark.parametrize("load", [None, Load((0.05, 0.02, 0.0))])
+@pytest.mark.parametrize(("torque", "apart"), [(5e-3, 1e-12), (5e-2, 1e-6)])
+def test_friction_without_offsets_is_that_of_nested_tubes(load: Load | None, torque: float, apart: float) -> None:
+    """Tubes that slip everywhere agree to round-off, also at the plate and at ends; fronts as far as both meshes do."""
+    inner, outer = Tube(1e-3, 0.75e-3, 0.15, 0.09, 9.0), Tube(1.5e-3, 1.15e-3, 0.07, 0.06, 5.0)
+    turns, shift = [[0, 0], [0, 1.5], [0, 1.2], [0.3, 1.25], [0, -1]], [[-0.03, 0.0]] * 5
+    nested = Friction(torque, plate=1e-4, jumps=5e-5, ends=2e-4)
+    # The outer tube turns freely in the sheath.
+    channels = Friction((torque, 0.0), (1e-4, 0.0), (5e-5, 0.0), (2e-4, 0.0))
+    one = follow(ConcentricRobot((inner, outer)), turns, shift, friction=nested, load=load).equilibria
+    other = follow(BundleRobot((inner, outer), (0.0, 0.0), (0.0, 0.0)), turns, shift, friction=channels, load=load)
+    for a, b in zip(one, other.equilibria, strict=True):
+        assert a.friction is not None
+        assert b.friction is not None
+        assert np.abs(a.tip_position - b.tip_position).max() < apart
+        assert b.friction.heat == pytest.approx(a.friction.heat, rel=1e-3 if apart > 1e-9 else 1e-9)
+        assert b.friction.held_margin == pytest.approx(a.friction.held_margin, abs=1e-3)
+
+
+def test_friction_takes_what_the_drives_give(tmp_path: Path) -> None:
+    """Work of the drives is energy and heat; without friction the history is nothing; a saved state goes on."""
+    robot, friction = replace(bundle_of_thesis(), carriages=None), Friction(2e-3)
+    way = np.radians(np.linspace([0, 0, 0], [90, -60, 120], 61))
+    there = follow(robot, way, friction=friction).equilibria
+    states = list(there)
+    torque = []
+    for pose in states:
+        levers = robot.axes[:, [1, 0]] * [1.0, -1.0]
+        g = 1 + levers @ pose.curvature[0]
+        torque.append(-np.array([t.torsional_stiffness for t in robot.tubes]) * pose.torsion[:, 0] / g)
+    work = float(((np.array(torque[1:]) + torque[:-1]) / 2 * np.diff(way, axis=0)).sum())
+    heats = [pose.friction.heat for pose in states if pose.friction is not None]
+    assert (np.diff(heats) >= 0).all()
+    assert heats[-1] > 1e-4
+    assert work == pytest.approx(states[-1].energy - states[0].energy + heats[-1], rel=2e-3)
+    back = follow(robot, way[::-1], start=states[-1], friction=friction).equilibria
+    assert back[-1].friction is not None
+    assert back[-1].friction.heat > 1.5 * heats[-1]
+    assert np.linalg.norm(back[-1].tip_position - states[0].tip_position) > 1e-6
+    slight = follow(robot, way[::20], friction=Friction(1e-9)).equilibria[-1]
+    assert np.abs(slight.tip_position - robot.fk(way[-1]).tip_position).max() < 1e-10
+    states[40].save(tmp_path)
+    again = follow(robot, way[40:], start=load_equilibrium(tmp_path), friction=friction).equilibria[-1]
+    assert again.tip_position == pytest.approx(states[-1].tip_position, abs=1e-12)
+
+
+def test_friction_delays_a_snap_and_its_band_holds_every_history(tmp_path: Path) -> None:
+    robot, start, end = long_bundle(), np.radians([30, 195, 30]), np.radians([30, 230, 30])
+    angles = []
+    for torque in (1e-8, 1e-4):
+        (snap,) = follow(robot, [start, end], friction=Friction(torque)).snaps
+        angles.append(float(np.degrees(snap.rotations[1])))
+    assert angles[0] == pytest.approx(210.11, abs=0.01)
+    assert angles[0] + 0.005 < angles[1] < angles[0] + 0.05
+    sheath = load_robot("configs/bundles/steerable_sheath.yaml")
+    assert isinstance(sheath, BundleRobot)
+    rubbed = replace(sheath, friction=Friction((1e-4, 2e-4, 1e-4), plate=1e-6))
+    rubbed.save(tmp_path / "robot.yaml")
+    assert load_robot(tmp_path / "robot.yaml").friction == rubbed.friction
+    for load in (None, Load((0.05, 0.0, 0.0))):
+        still, random = rubbed.fk(np.radians([30, 60, 0]), load=load), np.random.default_rng(0)
+        ways = [p for _ in range(6) for p in (still.rotations + random.normal(0, 1.0, 3), still.rotations)]
+        states = follow(rubbed, ways, friction=rubbed.friction, load=load).equilibria[1::2]
+        off = np.abs([pose.tip_position - still.tip_position for pose in states]).max(0)
+        assert off == pytest.approx(
+            friction_band(still, Friction((1e-4, 2e-4, 1e-4), plate=1e-6)).tip_half_widths, rel=0.05
+        )
+    with pytest.raises(InputError, match="the robot has 3 tubes, so it must be 3, one for every tube, or 1"):
+        follow(sheath, [start, end], friction=Friction((1e-3, 1e-3)))

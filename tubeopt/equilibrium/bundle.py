@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from ..block.transcription.bundle import (
     BundleProblem,
     BundleState,
     Start,
+    VanishingError,
     bundle_arm,
     carried,
     element_counts,
@@ -52,16 +53,11 @@ from .member import AnyPoint, Errors, Member, Point
 from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation
 from .result import Equilibrium
 
+SETTLE = partial(full_steps, iterations=4)
+"""Newton's method for a state that is known but in a section without length."""
+
 EXCHANGES = 20
 """Maximum number of exchanges of boundaries; 94 of 100 random robots of two to four tubes needed none."""
-
-
-class VanishingError(Exception):
-    """Raised if a step makes the length of a section vanish."""
-
-    def __init__(self, state: BundleState, section: int) -> None:
-        super().__init__()
-        self.state, self.section = state, section
 
 
 @lru_cache(maxsize=64)
@@ -262,7 +258,12 @@ class Bundled(Member[BundleState]):
         fraction = float(step_limits.min(initial=np.inf))
         return self.at(state.x + (1.0 if fraction > 1 else TO_BOUNDARY * fraction) * step)
 
-    def newton(self, x: Array, method: Callable[..., NewtonResult[BundleState]]) -> NewtonResult[BundleState]:
+    def newton(
+        self,
+        x: Array,
+        method: Callable[..., NewtonResult[BundleState]],
+        settle: Callable[..., NewtonResult[BundleState]] | None = None,
+    ) -> NewtonResult[BundleState]:
         """Result of a Newton method with the sections of length 0 that it finds.
 
         A section that vanishes is exchanged: the boundaries at its ends change places. Where it vanishes in both orders
@@ -284,7 +285,7 @@ class Bundled(Member[BundleState]):
                 member = replace(member, problem=problem)
                 continue
             spent += result.iterations
-            apart = member.separated(result.state, freed) if result.converged else None
+            apart = member.separated(result.state, freed, settle or SETTLE) if result.converged else None
             if apart is None:
                 # After a change the first steps open a section, and say nothing about the branch.
                 contraction = 0.0 if member is not self else result.contraction
@@ -293,11 +294,13 @@ class Bundled(Member[BundleState]):
             member = replace(member, problem=problem)
         return NewtonResult(member.at(x), False, spent, np.inf)
 
-    def separated(self, state: BundleState, freed: set[frozenset[object]]) -> tuple[BundleProblem, Array] | None:
+    def separated(
+        self, state: BundleState, freed: set[frozenset[object]], settle: Callable[..., NewtonResult[BundleState]]
+    ) -> tuple[BundleProblem, Array] | None:
         """Problem and unknowns after a section of length 0 is freed, in one of both orders; None if none would grow.
 
         A section may grow once per solve; if it vanishes again, it is shorter than VANISHING. `freed` are the
-        boundaries that have been freed.
+        boundaries that have been freed; `settle` solves in few steps.
         """
         problem = self.problem
         for section, force in zip(problem.held, holding_forces(state).tolist(), strict=True):
@@ -310,7 +313,7 @@ class Bundled(Member[BundleState]):
             across, x = exchanged(state, section, hold=True)
             other = replace(self, problem=across)
             # The state is the same but in the held section: few steps settle it.
-            result = full_steps(other.at(x), other.advanced, other.largest_rotation, other.residual, 4)
+            result = settle(other.at(x), other.advanced, other.largest_rotation, other.residual)
             if result.converged and holding_forces(result.state)[across.held.index(section)] < 0:
                 freed.add(pair)
                 return rearranged(result.state, across.order, tuple(sorted(rest)))
@@ -334,7 +337,7 @@ class Bundled(Member[BundleState]):
 
     def released(self, state: BundleState, freed: set[frozenset[object]]) -> BundleState | None:
         """State from which a descent continues after a section of length 0 is freed; None if none would grow."""
-        apart = self.separated(state, freed)
+        apart = self.separated(state, freed, SETTLE)
         if apart is None:
             return None
         member = replace(self, problem=apart[0])

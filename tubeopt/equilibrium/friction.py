@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,9 +17,14 @@ from ..block.transcription import arm as arms
 from ..block.transcription import loaded
 from ..block.transcription.arm import EXTRA_QUADRATURE_POINTS
 from ..block.transcription.buffered import section_function
+from ..block.transcription.bundle import VANISHING, BundleState, VanishingError, opened, place_slopes
 from ..block.transcription.contact import (
     DEGREE,
+    SHEATH,
+    BundleContact,
     Contact,
+    ContactState,
+    Material,
     bending_of,
     contact_profile,
     evaluate_contact,
@@ -33,17 +38,18 @@ from ..block.transcription.second_variation import least
 from ..block.transcription.tableau import tableau
 from ..errors import InputError, SolveError
 from ..robots.concentric import Friction, check_friction
-from ..robots.eccentric import EccentricRobot, SegmentedEccentricRobot
+from ..robots.eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.compiled.friction import FrictionStart, FrictionStates, friction_motion
 from ..solvers.friction_increment import FRICTION_TOLERANCE, Increment, held_margin, imbalance, increment
-from ..solvers.newton import full_steps
+from ..solvers.newton import NewtonResult, full_steps
 from ..solvers.settings import LEAST_STIFFNESS, NEWTON, ONWARD
 from ..typing import Array, Index
+from .bundle import Bundled
 from .continuation import steps_along
 from .kinematics import equilibrium_of
-from .member import Errors, Loaded, Point, Unloaded, at_points, lever, sample_rotation
+from .member import AnyPoint, Errors, Loaded, Point, Unloaded, at_points, lever, sample_rotation
 from .problem import Discretisation, check_load, loading_of
 from .result import Equilibrium, FrictionState, Status
 
@@ -55,8 +61,8 @@ EIGENVALUE_ROUND_OFF = 1e-13
 class FrictionEquilibrium:
     """State of a robot with friction."""
 
-    contact: Contact
-    """Equations and friction law on one mesh."""
+    contact: Any
+    """Equations and friction law on one mesh: a `Contact`; a `BundleContact` of `BundleFriction`."""
     rotations: Array
     """(n,) joint rotations, rad."""
     translations: Array
@@ -68,6 +74,12 @@ class FrictionEquilibrium:
     tangent: tuple[Array, Array] | None = None
     """Changes of the joint rotations (n,) and of x (X,) in the last increment on the same contact."""
 
+    @property
+    def load(self) -> Load | None:
+        """External load, or None."""
+        load: Load | None = self.contact.load
+        return load
+
     @cached_property
     def profile(self) -> arms.Profile:
         """Torsion along the arm."""
@@ -76,14 +88,14 @@ class FrictionEquilibrium:
     @cached_property
     def margin(self) -> float:
         """Margin without friction: smallest eigenvalue of the second variation."""
-        return least(self.increment.state.hessian)
+        return least(self.contact.form(self.increment.state)[0])
 
     @cached_property
     def held_margin(self) -> float:
         """Smallest eigenvalue over the motions without slip at sticking contacts, between the margin and 1."""
         if self.increment.signs.all() or self.margin > 1 - EIGENVALUE_ROUND_OFF:
             return self.margin
-        return held_margin(self.contact, self.increment.state, self.increment.signs)
+        return held_margin(self.increment.state, self.increment.signs)
 
     def theta(self, arc_length: Array) -> Array:
         """(X, n) elastic rotations at arc lengths (X,), m; behind the plate by the twist of the transmission."""
@@ -100,6 +112,26 @@ class FrictionEquilibrium:
         return inside
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BundleFriction(FrictionEquilibrium):
+    """State of a bundle with friction of its tubes in their channels."""
+
+    member: Bundled
+    """Equations without friction."""
+    errors: Errors | None = None
+    """Estimated errors, if known."""
+
+    @property
+    def point(self) -> AnyPoint:
+        """State as a point of the equations without friction."""
+        return Point(0.0, self.member, self.increment.state.elastic, 1.0)
+
+    @property
+    def before(self) -> Material:
+        """Material of this state, from which the next slips are measured."""
+        return Material(self.increment.state.elastic, self.rotations, self.translations)
+
+
 @lru_cache(maxsize=64)
 def contact_of(robot: Robot, translations: tuple[float, ...], friction: Friction, load: Load | None = None) -> Contact:
     """Contact equations of a robot at translations, with or without a load, built once for all rotations."""
@@ -111,10 +143,13 @@ def contact_of(robot: Robot, translations: tuple[float, ...], friction: Friction
 
 
 def validate_friction(robot: Robot, friction: Friction) -> None:
-    """Raise InputError for friction of another number of tubes, or for an eccentric robot."""
-    check_friction(friction, robot.n_tubes)
+    """Raise InputError for friction of another number of tubes, or for a robot without an energy."""
     if isinstance(robot, (EccentricRobot, SegmentedEccentricRobot)):
-        raise InputError("friction is given for an eccentric robot; it is supported for concentric robots only")
+        raise InputError(
+            "friction is given for a robot of kind eccentric; it is supported for concentric robots and bundles "
+            "(model: energy in the file, bundle() in Python)"
+        )
+    check_friction(friction, robot.n_tubes, channels=isinstance(robot, BundleRobot))
 
 
 def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> FrictionEquilibrium:
@@ -127,6 +162,8 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Friction
     stored = equilibrium.friction
     if stored is not None and stored.friction != friction:
         raise InputError("start has a different friction; use the same friction, or a start without friction")
+    if isinstance(robot, BundleRobot):
+        return _bundle_at_rest(robot, equilibrium, friction)
     shift = equilibrium.translations
     contact = contact_of(robot, tuple(shift.tolist()), friction, equilibrium.load)
     if stored is None:
@@ -136,14 +173,54 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Friction
     between = sample_rotation(equilibrium, at)[np.arange(len(at)), contact.tube]
     x = unknowns_of(contact, equilibrium.rotations, points, between, bending)
     state = evaluate_contact(contact, equilibrium.rotations, x)
+    return FrictionEquilibrium(contact, equilibrium.rotations, shift, _stored(state, stored), stored.heat)
+
+
+def _stored(state: ContactState, stored: FrictionState) -> Increment:
+    """Increment with stored torques that ended in a state; raises SolveError if they are not in balance."""
     torque = np.array(stored.torque)
-    if len(torque) != len(contact.capacity) or imbalance(contact, state, torque) > 1e-6:
+    if len(torque) != len(state.capacity) or imbalance(state, torque) > 1e-6:
         raise SolveError("start is not in balance with its friction: it belongs to another robot")
     # Slip is stored only as a torque at its limit, which a file may have rounded in the last digit.
-    slips = np.abs(torque) >= contact.capacity * (1 - 1e-12)
+    slips = np.abs(torque) >= state.capacity * (1 - 1e-12)
     signs = (np.sign(torque) * slips).astype(np.int8)
-    result = Increment(state, torque, signs, 0.0, True, 0.0, stored.violation)
-    return FrictionEquilibrium(contact, equilibrium.rotations, shift, result, stored.heat)
+    return Increment(state, torque, signs, 0.0, True, 0.0, stored.violation)
+
+
+def _bundle_at_rest(robot: BundleRobot, equilibrium: Equilibrium, friction: Friction) -> BundleFriction:
+    """State of a bundle at an equilibrium; arguments and errors as of `rest`."""
+    stored, alpha, shift = equilibrium.friction, equilibrium.rotations, equilibrium.translations
+    member, x = Bundled.of_equilibrium(equilibrium, equilibrium.load, None)
+    member, errors = replace(member, robot=robot), None
+    if stored is None:
+        d = Discretisation(degree=DEGREE, refinement=max(friction.refinement, 0))
+        if (member.discretisation.degree, member.discretisation.refinement) != (d.degree, d.refinement):
+            finer = member.on(degree=d.degree, refinement=d.refinement)
+            x, member = finer.transfer(Point(0.0, member, member.at(x), 1.0)), finer
+        relaxed = member.solve(x)
+        if not relaxed.converged:
+            raise SolveError("Newton's method does not converge from start on the friction mesh")
+        elastic = relaxed.state
+    else:
+        elastic, errors = member.at(x), Errors(equilibrium.mesh_error, equilibrium.tip_error, 0.0)
+    member = member.owner(elastic)
+    contact = bundle_contact(member, friction, Material(elastic, alpha, shift))
+    state = contact.of(alpha, elastic)
+    none = np.zeros(len(state.rows))
+    result = (
+        Increment(state, none, none.astype(np.int8), 0.0, True, 0.0, 0.0) if stored is None else _stored(state, stored)
+    )
+    return BundleFriction(
+        contact, alpha, shift, result, 0.0 if stored is None else stored.heat, member=member, errors=errors
+    )
+
+
+def bundle_contact(member: Bundled, friction: Friction, before: Material, *, falls: bool = False) -> BundleContact:
+    """Contact of a bundle with slips measured from `before`; if it `falls`, boundaries that meet stay together."""
+    around = dict.fromkeys(range(member.problem.n), SHEATH) | dict(member.robot.nested_pairs)
+    shift = np.array(member.translations)
+    advanced = member.moved if falls else member.advanced
+    return BundleContact(member.problem, friction, tuple(around.items()), member.rotations, shift, before, advanced)
 
 
 def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
@@ -190,24 +267,18 @@ def step(
     robot: Robot, current: FrictionEquilibrium, rotations: Array, translations: Array, load: Load | None = None
 ) -> FrictionEquilibrium | None:
     """State after an increment to other joint values (n,) and another load; None if Newton's method fails."""
+    if isinstance(current, BundleFriction):
+        return _bundle_step(robot, current, rotations, translations, load)
     contact, before, x = start_increment(robot, current, rotations, translations, load)
     same_contact = contact is current.contact
     turn, shift = rotations - current.rotations, translations - current.translations
 
     sliding, guess, signs = None, x, None
     if same_contact:
-        # The same rows stick or slip as before. If the joints turn on in the same direction, x changes as it did.
-        signs = current.increment.signs
-        if current.tangent is not None:
-            last_turn, last_change = current.tangent
-            along, size = float(turn @ last_turn), float(last_turn @ last_turn)
-            if along > ONWARD * np.sqrt(size * float(turn @ turn)) > 0:
-                guess = x + last_change * (along / size)
+        # The same rows stick or slip as before.
+        guess, signs = x + _onward(current, turn, len(x)), current.increment.signs
     elif contact.friction.sliding:
-        # At the surface a rotation moves the material by r dtheta, a translation by dz: dz / r compares both.
-        radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
-        sliding = np.abs(shift[contact.pair + 1] - shift[contact.pair]) / radius[contact.pair]
-        sliding = np.where(sliding > FRICTION_TOLERANCE, sliding, 0.0)
+        sliding = _slides(robot, contact.pair, shift[contact.pair + 1] - shift[contact.pair])
 
     result = increment(contact, rotations, guess, before, signs, sliding)
     if result is None or not result.converged:
@@ -216,10 +287,73 @@ def step(
     return FrictionEquilibrium(contact, rotations, translations, result, current.heat + result.heat, tangent)
 
 
+def _onward(current: FrictionEquilibrium, turn: Array, size: int) -> Array:
+    """Change of x (X,) as in the last increment, if the joints turn on in the same direction; else 0."""
+    if current.tangent is None or len(current.tangent[1]) != size:
+        return np.zeros(size)
+    last_turn, last_change = current.tangent
+    along, square = float(turn @ last_turn), float(last_turn @ last_turn)
+    onward = along > ONWARD * np.sqrt(square * float(turn @ turn)) > 0
+    return last_change * (along / square if onward else 0.0)
+
+
+def _slides(robot: Robot, inner: Index, shift: Array) -> Array:
+    """Slides (R,) along the axis over the friction radius, rad, of inner tubes (R,) that what is around them shifts by
+    (R,), m.
+    """
+    # At the surface a rotation moves the material by r dtheta, a translation by dz: dz / r compares both.
+    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+    sliding = np.abs(shift) / radius[inner]
+    return np.where(sliding > FRICTION_TOLERANCE, sliding, 0.0)
+
+
+def _bundle_step(
+    robot: Robot, current: BundleFriction, rotations: Array, translations: Array, load: Load | None
+) -> BundleFriction | None:
+    """State of a bundle after an increment; arguments as of `step`.
+
+    Its boundaries are exchanged, and stay together, as in a solve without friction.
+    """
+    point, turn, shift = current.point, rotations - current.rotations, translations - current.translations
+    member = replace(current.member, robot=robot).near(point, rotations, tuple(translations.tolist()), load, 1.0)
+    friction, known = current.contact.friction, current.contact.place
+    ends: dict[int, Increment] = {}
+
+    def solved(start: BundleState, advanced: Any, *_: Any) -> NewtonResult[BundleState]:
+        contact = bundle_contact(replace(member, problem=start.problem), friction, current.before)
+        contact, place = replace(contact, advanced=advanced), contact.place
+        same = all(np.array_equal(getattr(known, name), getattr(place, name)) for name in ("inner", "outer", "point"))
+        sliding = None
+        if friction.sliding and shift.any():
+            outer = np.where(place.outer == SHEATH, 0.0, shift[place.outer])
+            sliding = _slides(robot, place.inner, outer - shift[place.inner])
+        signs = current.increment.signs if same and sliding is None else None
+        result = increment(contact, rotations, start.x, np.zeros(len(place.inner)), signs, sliding)
+        if result is None:
+            return NewtonResult(start, False, 0, np.inf)
+        elastic = result.state.elastic
+        # The forces on boundaries that stay together contain those of friction.
+        state = replace(elastic, by_bend=elastic.by_bend + result.torque @ result.state.rows_by_bend)
+        if result.converged:
+            ends[id(state)] = result
+        return NewtonResult(state, result.converged, 0, result.contraction)
+
+    x = member.transfer(point)
+    result = member.newton(x + _onward(current, turn, len(x)), solved, solved)
+    if not ends:
+        return None
+    # Ends of tubes that would only separate by a jump stay together.
+    last = ends[id(result.state)] if result.converged else list(ends.values())[-1]
+    last = replace(last, contraction=result.contraction if result.converged else 0.0)
+    tangent = (turn, last.state.x - x) if len(last.state.x) == len(x) and not shift.any() else None
+    heat, owner = current.heat + last.heat, member.owner(last.state.elastic)
+    return BundleFriction(last.state.contact, rotations, translations, last, heat, tangent, member=owner)
+
+
 class IncrementStart(NamedTuple):
     """State at which an increment starts."""
 
-    contact: Contact
+    contact: Any
     """Contact equations at the joint values and load after the increment."""
     before: Array
     """(R,) relative rotations of the material before it, rad."""
@@ -231,8 +365,14 @@ def start_increment(
     robot: Robot, current: FrictionEquilibrium, rotations: Array, translations: Array, load: Load | None = None
 ) -> IncrementStart:
     """State at which an increment to other joint values (n,) and another load starts."""
+    if isinstance(current, BundleFriction):
+        shift = tuple(translations.tolist())
+        member = replace(current.member, robot=robot).near(current.point, rotations, shift, load, 1.0)
+        falling = bundle_contact(member, current.contact.friction, current.before, falls=True)
+        x = opened(member.problem, member.transfer(current.point), VANISHING)
+        return IncrementStart(falling, np.zeros(len(falling.pair)), x)
     moved = translations - current.translations
-    if not moved.any() and load == current.contact.load:
+    if not moved.any() and load == current.load:
         return IncrementStart(current.contact, current.increment.state.relative_rotations, current.increment.state.x)
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
@@ -255,28 +395,31 @@ def bent_at(current: FrictionEquilibrium, contact: Contact) -> Array | None:
         return bending if contact.loaded is not None else None
     if bending is None or current.contact.loaded is None:
         return np.zeros((len(contact.loaded.softness), 2))
-    return current.contact.loaded.mesh.interpolated(bending, contact.loaded.torsion.arc_length)
+    return np.asarray(current.contact.loaded.mesh.interpolated(bending, contact.loaded.torsion.arc_length))
 
 
 def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) -> Equilibrium:
     """Equilibrium of a state with friction, with shape, energy and error estimates."""
     contact, state, problem = current.contact, current.increment.state, current.contact.problem
-    shift, error = tuple(current.translations.tolist()), _smooth_error(current) + _front_error(current)
-    if isinstance(state.elastic, LoadedState):
+    shift = tuple(current.translations.tolist())
+    error = 0.0 if isinstance(current, BundleFriction) else _smooth_error(current) + _front_error(current)
+    if isinstance(current, BundleFriction):
+        plain = _in_sheath(current, start)
+    elif isinstance(state.elastic, LoadedState):
         plain = _under_load(robot, current, state.elastic, start, error)
     else:
         # Friction torques are part of the balance: the residual is the gradient with them.
-        balance = (state.gradient + contact.rows.T @ current.increment.torque)[: problem.size]
+        balance = (state.gradient + state.rows.T @ current.increment.torque)[: problem.size]
         torsion = replace(state.elastic, gradient=balance, energy=state.energy)
         member = Unloaded(robot, problem, current.rotations, shift, Discretisation(degree=DEGREE))
         shape = member.solution(Point(0.0, member, torsion, current.margin), current.profile, error)
         plain = equilibrium_of(member, shape, start, method="increment")
     friction = FrictionState(
         friction=contact.friction,
-        arc_length=tuple(contact.arc_length.tolist()),
+        arc_length=tuple(_arc_lengths(current).tolist()),
         pair=tuple(contact.pair.tolist()),
         torque=tuple(current.increment.torque.tolist()),
-        capacity=tuple(contact.capacity.tolist()),
+        capacity=tuple(state.capacity.tolist()),
         held_margin=current.held_margin,
         heat=current.heat,
         violation=current.increment.violation,
@@ -287,6 +430,38 @@ def to_held_equilibrium(robot: Robot, current: FrictionEquilibrium, start: str) 
         # The state's own: recomputed from the shape it would lack the friction torques.
         vars(result)["base_wrench"] = plain.base_wrench
     return result
+
+
+def _arc_lengths(current: FrictionEquilibrium) -> Array:
+    """Arc lengths (R,) of the rows of friction, m."""
+    if isinstance(current, BundleFriction):
+        return np.asarray(current.contact.place.up_to @ current.increment.state.elastic.h)
+    return np.asarray(current.contact.arc_length)
+
+
+def _in_sheath(current: BundleFriction, start: str) -> Equilibrium:
+    """Equilibrium of a bundle with friction; its errors are the change of the same increment with more points."""
+    state, torque = current.increment.state, current.increment.torque
+    solution = current.member.solution(replace(current.point, margin=current.margin))
+    errors = current.errors or (_bundle_errors(current) if torque.any() else solution.errors)
+    solved = replace(solution, residual=imbalance(state, torque), errors=errors)
+    return equilibrium_of(current.member, solved, start, method="increment" if torque.any() else "newton")
+
+
+def _bundle_errors(current: BundleFriction) -> Errors:
+    """Errors of a state after an increment; infinite if the increment has no state on the finer mesh."""
+    finer = current.member.on(degree=current.member.discretisation.degree + EXTRA_QUADRATURE_POINTS)
+    contact, x = bundle_contact(finer, current.contact.friction, current.contact.before), finer.transfer(current.point)
+    try:
+        result = increment(contact, current.rotations, x, np.zeros(len(contact.pair)))
+    except VanishingError:
+        result = None
+    if result is None:
+        return Errors(np.inf, np.inf, 0.0)
+    last = len(finer.problem.order) - 1
+    tips = [place_slopes(each, last).position for each in (result.state.elastic, current.increment.state.elastic)]
+    theta = finer.problem.push(result.state.x - x)[:, : finer.problem.n]
+    return Errors(float(np.abs(theta).max()), float(np.linalg.norm(tips[0] - tips[1])), 0.0)
 
 
 def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, start: str, error: float) -> Equilibrium:
@@ -300,7 +475,7 @@ def _under_load(robot: Robot, held: FrictionEquilibrium, state: LoadedState, sta
     solved = replace(
         member.solution(Point(0.0, member, state, held.margin), held.profile, errors),
         energy=held.increment.state.energy + state.work,
-        residual=imbalance(held.contact, held.increment.state, held.increment.torque),
+        residual=imbalance(held.increment.state, held.increment.torque),
         index=0 if held.margin > 0 else int((np.linalg.eigvalsh(held.increment.state.hessian) < 0).sum()),
     )
     return equilibrium_of(member, solved, start, method="increment")

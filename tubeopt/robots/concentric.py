@@ -27,6 +27,8 @@ PAIRWISE = ("torque", "plate", "jumps", "ends")
 class Friction(Displayed):
     """Coulomb friction of every tube in the next one, inner to outer: n - 1 numbers, or one for all pairs.
 
+    In a bundle each tube rubs in its channel, the tube around it or the sheath: n numbers, or one for all tubes.
+
     The torque about the tubes' axis is limited by the capacities here: N m per m of length, and N m at points. A
     slipping contact has the same torque at any speed.
 
@@ -104,15 +106,19 @@ class Friction(Displayed):
         return not any(any(self.of(name)) for name in PAIRWISE)
 
 
-def per_pair(name: str, entry: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
-    """Values, 0 or more, of the pairs of neighbours, from one for each or one for all; raises InputError."""
+def per_pair(name: str, entry: Sequence[float] | float, n_tubes: int, *, channels: bool = False) -> tuple[float, ...]:
+    """Values, 0 or more, of the pairs of neighbours, from one for each or one for all; raises InputError.
+
+    With `channels` each of the n tubes of a bundle has one, with what is around it.
+    """
     values = tuple(positive(name, x, zero=True) for x in numbers(name, entry))
-    if len(values) not in (1, n_tubes - 1):
+    count = n_tubes if channels else n_tubes - 1
+    if len(values) not in (1, count):
         raise InputError(
-            f"{name} is {len(values)} numbers; the robot has {n_tubes} tubes, so it must be {n_tubes - 1}, one for "
-            "every pair of neighbours, or 1"
+            f"{name} is {len(values)} numbers; the robot has {n_tubes} tubes, so it must be {count}, one for "
+            f"{'every tube' if channels else 'every pair of neighbours'}, or 1"
         )
-    return values * (n_tubes - 1) if len(values) == 1 else values
+    return values * count if len(values) == 1 else values
 
 
 def clearances(entry: Sequence[float] | float, n_tubes: int) -> tuple[float, ...]:
@@ -122,12 +128,12 @@ def clearances(entry: Sequence[float] | float, n_tubes: int) -> tuple[float, ...
     return values
 
 
-def check_friction(friction: Friction | None, n_tubes: int) -> None:
-    """Raise InputError if a friction is for another number of tubes."""
+def check_friction(friction: Friction | None, n_tubes: int, *, channels: bool = False) -> None:
+    """Raise InputError if a friction is for another number of tubes; `channels` as of `per_pair`."""
     if friction is None:
         return
     for name in PAIRWISE:
-        per_pair(f"{name} of friction", friction.of(name), n_tubes)
+        per_pair(f"{name} of friction", friction.of(name), n_tubes, channels=channels)
 
 
 @typed
@@ -193,4 +199,5 @@ class ConcentricRobot(Robot):
 
 def friction_of(robot: Robot) -> Friction | None:
     """Friction of a robot; None if it is unknown."""
-    return robot.friction if isinstance(robot, ConcentricRobot) else None
+    friction: Friction | None = getattr(robot, "friction", None)
+    return friction

@@ -23,6 +23,7 @@ from ..physics.strain import surface_strain
 from ..typing import Array
 from .assembly import LENGTH_ROUND_OFF, Assembly, assemble
 from .calibration import Calibration
+from .concentric import Friction, check_friction
 from .limits import JointLimits
 from .robot import Robot, keeps_hash
 from .tubes import Tube, must_be_plain
@@ -379,10 +380,13 @@ class BundleRobot(Robot):
     """Tubes, from 0, that one carriage translates: a partition. None if each tube has its own."""
     nested_curves: Annotated[bool, "the curve of a tube may begin inside the tube around it"] = True
     """True if the curve of a tube may begin inside the tube around it; of segments it begins beyond."""
+    friction: Friction | None = None
+    """Friction of the tubes in their channels, for motions with friction; None if unknown."""
     fixed_sections = False
 
     def __post_init__(self) -> None:
         must_be_plain(self.tubes, "a bundle robot")
+        check_friction(self.friction, len(self.tubes), channels=True)
         check_fields(self)
         n = len(self.tubes)
         if not n:

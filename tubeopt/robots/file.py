@@ -29,7 +29,7 @@ from ..files.units import DEG, MM, PER_M, UNITS, in_unit, parse_number, to_si
 from ..files.yaml_file import load_yaml, to_yaml
 from ..typing import Array
 from .calibration import TABLES, Calibration
-from .concentric import ConcentricRobot, Friction
+from .concentric import ConcentricRobot, Friction, friction_of
 from .eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from .limits import JointLimits, reading_fault
 from .materials import MATERIALS, NITINOL, Material
@@ -486,6 +486,9 @@ class BundleEntry(RobotEntry):
 
     kind: Literal["bundle"]
     tubes: list[BundleTubeEntry] = Field(min_length=1)
+    friction: EntryOf[Friction] | None = Field(
+        None, description="friction of the tubes in their channels; default none"
+    )
 
     def build(self) -> BundleRobot:
         """Robot in SI."""
@@ -496,6 +499,7 @@ class BundleEntry(RobotEntry):
             **values(BundleRobot, self, *OF_BUNDLE),
             **self.common(),
             carriages=self._carriages(),
+            friction=self.friction.build() if self.friction else None,
         )
 
     def _carriages(self) -> tuple[tuple[int, ...], ...] | None:
@@ -602,15 +606,17 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
         for number, carriage in enumerate(robot.carriages or (), start=1):
             for i in carriage:
                 tubes[i]["carriage"] = number
-        data = {"kind": "bundle", "name": robot.name, "tubes": tubes} | to_data(robot, ["offset", "angle", "carriages"])
+        data = {"kind": "bundle", "name": robot.name, "tubes": tubes} | to_data(
+            robot, ["offset", "angle", "carriages", "friction"]
+        )
     else:
         raise InputError(f"robot is a {type(robot).__name__}; it must be one of {', '.join(ROBOT_KINDS)}")
     if robot.joint_limits is not None:
         data["limits"] = to_data(robot.joint_limits)
     if robot.calibration is not None:
         data["calibration"] = calibration_to_dict(robot.calibration)
-    if isinstance(robot, ConcentricRobot) and robot.friction is not None:
-        none, friction = to_data(Friction()), to_data(robot.friction)
+    if (between := friction_of(robot)) is not None:
+        none, friction = to_data(Friction()), to_data(between)
         data["friction"] = {key: value for key, value in friction.items() if value not in (none[key], [none[key]])}
     if isinstance(robot, ConcentricRobot) and robot.clearance is not None:
         data["clearance_mm"] = [in_unit(x, MM) for x in robot.clearance]

@@ -17,7 +17,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from ..block.transcription.contact import Contact, ContactState, evaluate_contact
+from ..block.transcription.contact import BundleContact, Contact, ContactState
 from ..block.transcription.second_variation import least
 from ..typing import Array
 from .box_minimum import minimum_in_box
@@ -198,17 +198,17 @@ class _SlidingRows:
     zeta is (Chan, Golub and Mulet, SIAM J. Sci. Comput. 20 (1999)).
     """
 
-    def __init__(self, contact: Contact, slid: Array | None) -> None:
-        slid = np.zeros(len(contact.capacity)) if slid is None else slid
+    def __init__(self, state: ContactState, slid: Array | None) -> None:
+        slid = np.zeros(len(state.capacity)) if slid is None else slid
         self.any = bool(slid.any())
         self.sharp, self.smooth = slid == 0 if self.any else slice(None), np.flatnonzero(slid)
-        self.rows, self.capacity = contact.rows[self.sharp], contact.capacity[self.sharp]
-        self.smooth_rows, self.limit = contact.rows[self.smooth], contact.capacity[self.smooth]
         self.zeta = slid[self.smooth]
         self.torque = np.zeros(len(self.smooth))
 
     def added(self, state: ContactState, slip: Array) -> tuple[Array, Array]:
-        """Gradient and Hessian of the energy with the heat of these rows."""
+        """Gradient and Hessian of the energy with the heat of these rows; all rows are those of the state."""
+        self.rows, self.capacity = state.rows[self.sharp], state.capacity[self.sharp]
+        self.smooth_rows, self.limit = state.rows[self.smooth], state.capacity[self.smooth]
         size = np.hypot(slip[self.smooth], self.zeta)
         # d/dv of D sqrt(v^2 + zeta^2); the second derivative takes the torque in place of D v / size.
         self.slope = self.limit * slip[self.smooth] / size
@@ -234,7 +234,7 @@ class _SlidingRows:
 
 
 def increment(
-    contact: Contact,
+    contact: Contact | BundleContact,
     rotations: Array,
     x: Array,
     before: Array,
@@ -247,13 +247,15 @@ def increment(
         signs: first signs of the slips; by default those of the energy's model without friction.
         slid: slide (R,) of the rows along the axis over their friction radius, rad.
     """
-    state, sliding = evaluate_contact(contact, rotations, x), _SlidingRows(contact, slid)
+    state = contact.evaluate(rotations, x)
+    sliding = _SlidingRows(state, slid)
     last, contraction, previous = np.inf, 0.0, None
     signs = None if signs is None else signs[sliding.sharp]
     # The set of sticking rows settles in a few steps; then Newton's method converges quadratically.
     for _ in range(FRICTION_ITERATIONS):
         slip = state.relative_rotations - before
-        model = model_of(sliding.rows, *sliding.added(state, slip))
+        gradient, hessian = sliding.added(state, slip)
+        model = model_of(sliding.rows, gradient, hessian)
         if model is None:
             return None
         free = slip[sliding.sharp] + sliding.rows @ model.step
@@ -266,42 +268,45 @@ def increment(
         # Beyond half a turn the quadratic model says nothing about the energy.
         if not np.isfinite(size) or size > np.pi:
             return None
-        state = evaluate_contact(contact, rotations, state.x + step)
+        state = contact.moved(rotations, state, step)
+        if state.contact is not contact:  # boundaries stay together from here on
+            return None
         sliding.advance(step)
         if size <= LAST_STEP:
             slip = state.relative_rotations - before
             forces = sliding.all_rows(torque, current, slip)
             # After a step of round-off, torques of rows with a small slide may still change.
             tiny = size <= NEWTON_ROUND_OFF and not sliding.any
-            if tiny or imbalance(contact, state, forces.torque) <= NEWTON_ROUND_OFF:
+            if tiny or imbalance(state, forces.torque) <= NEWTON_ROUND_OFF:
                 wrong = np.where(forces.signs == 0, np.abs(slip), np.maximum(0.0, -slip * forces.signs))
                 if slid is not None:
                     # lam sqrt(v^2 + zeta^2) = D v for rows that slide along the axis.
-                    turns = np.abs(forces.torque / contact.capacity * np.hypot(slip, slid) - slip)
+                    turns = np.abs(forces.torque / state.capacity * np.hypot(slip, slid) - slip)
                     wrong = np.where(slid != 0, turns, wrong)
-                wrong = np.maximum(wrong, np.maximum(0.0, np.abs(forces.torque) / contact.capacity - 1))
+                wrong = np.maximum(wrong, np.maximum(0.0, np.abs(forces.torque) / state.capacity - 1))
                 violation = float(wrong.max(initial=0.0))
-                return Increment(state, *forces, violation <= FRICTION_TOLERANCE, contraction, violation)
+                if contact.linear or violation <= FRICTION_TOLERANCE:
+                    return Increment(state, *forces, violation <= FRICTION_TOLERANCE, contraction, violation)
         elif not sliding.any and previous is not None and np.array_equal(current, previous):
             contraction = max(contraction, size / last)
         last, previous = size, current
     return None
 
 
-def imbalance(contact: Contact, state: ContactState, torque: Array) -> float:
+def imbalance(state: ContactState, torque: Array) -> float:
     """Largest violation of the equations of equilibrium, as an error of a rotation, rad."""
-    return contact.largest_rotation(state.gradient + contact.rows.T @ torque)
+    return state.contact.largest_rotation(state.gradient + state.rows.T @ torque)
 
 
-def held_margin(contact: Contact, state: ContactState, signs: Signs) -> float:
+def held_margin(state: ContactState, signs: Signs) -> float:
     """Margin while the sticking rows stick: smallest eigenvalue of the Hessian on their null space, at most 1."""
-    free = _free(contact, signs)
-    return least(free.T @ state.hessian @ free)
+    form, rows = state.contact.form(state)
+    free = _free(rows[signs == 0])
+    return least(free.T @ form @ free)
 
 
-def _free(contact: Contact, signs: Signs) -> Array:
-    """Orthonormal directions (X, F) without slip of the sticking rows."""
-    stuck = contact.rows[signs == 0]
+def _free(stuck: Array) -> Array:
+    """Orthonormal directions (X, F) without slip of sticking rows (S, X)."""
     if not len(stuck):
         return np.eye(stuck.shape[1])
     return np.asarray(scipy.linalg.qr(stuck.T, mode="full")[0][:, len(stuck) :])
@@ -311,11 +316,11 @@ SLOW, PATIENT, NEAR = 1e-4, 20, 1e-3
 """Step (rad) below which a flow may be at rest, number of steps between two checks, and distance (rad) of the rest."""
 
 
-def softest(contact: Contact, state: ContactState, signs: Signs) -> Array:
+def softest(state: ContactState, signs: Signs) -> Array:
     """Softest direction (X,) of a state without slip of the sticking rows; its largest turn is 1 rad."""
-    free = _free(contact, signs)
+    free = _free(state.rows[signs == 0])
     direction = free @ np.linalg.eigh(free.T @ state.hessian @ free)[1][:, 0]
-    return np.asarray(direction / contact.largest_rotation(direction))
+    return np.asarray(direction / state.contact.largest_rotation(direction))
 
 
 class _Slid(NamedTuple):
@@ -343,7 +348,9 @@ class Rest(NamedTuple):
     """Heat of the flow, J."""
 
 
-def slide(contact: Contact, rotations: Array, x: Array, before: Array, push: Array | None = None) -> Rest | None:
+def slide(
+    contact: Contact | BundleContact, rotations: Array, x: Array, before: Array, push: Array | None = None
+) -> Rest | None:
     """State of rest of the energy flow with friction; None if it is not found.
 
     The flow starts at x, or at the lower of x +- `push` (X,). Each step of `newton.flow` has exact friction from the
@@ -351,31 +358,36 @@ def slide(contact: Contact, rotations: Array, x: Array, before: Array, push: Arr
     """
 
     def heat_to(state: ContactState, before: Array) -> float:
-        return float(contact.capacity @ np.abs(state.relative_rotations - before))
+        return float(state.capacity @ np.abs(state.relative_rotations - before))
 
     def step(at: _Slid, time: float) -> _Slip | None:
-        model = model_of(contact.rows, at.state.gradient, at.state.hessian + np.eye(len(x)) / time)
+        model = model_of(at.state.rows, at.state.gradient, at.state.hessian + np.eye(len(at.state.x)) / time)
         # If the energy is not convex, the rows that stuck in the last step may still hold the state.
         if model is None or (model.negative and at.signs is None):
             return None
-        free = at.state.relative_rotations - at.before + contact.rows @ model.step
-        result = choose(model, free, contact.capacity, at.signs if model.negative else None)
+        free = at.state.relative_rotations - at.before + at.state.rows @ model.step
+        result = choose(model, free, at.state.capacity, at.signs if model.negative else None)
         return None if result is None else _Slip(model.step - model.response @ result[0], result[1])
 
     def moved(at: _Slid, slip: _Slip) -> _Slid | None:
-        state, trial = at.state, evaluate_contact(contact, rotations, at.state.x + slip.step)
-        heat = heat_to(trial, at.before)
-        # Round-off of the energy is that of its parts.
-        work = 0.0 if contact.loaded is None else abs(state.elastic.potential - state.elastic.energy)
-        round_off = 1e-13 * (contact.problem.energy_parts + abs(state.energy) + work)
-        risen = trial.energy + heat > state.energy + heat_to(state, at.before) + round_off
-        return None if risen else _Slid(trial, trial.relative_rotations, at.heat + heat, slip.signs)
+        state = at.state
+        trial = state.contact.moved(rotations, state, slip.step)
+        if not np.isfinite(trial.energy):
+            return None
+        # Where boundaries stay together from now on, there are fewer rows: they are measured from the same material.
+        same = trial.contact is state.contact
+        heat = heat_to(trial, at.before if same else np.zeros(len(trial.rows)))
+        risen = trial.energy + heat > state.energy + heat_to(state, at.before) + 1e-13 * state.contact.round_off(state)
+        if risen:
+            return None
+        return _Slid(*trial.contact.renewed(trial), at.heat + heat, slip.signs if same else None)
 
     def rest(at: _Slid, turn: float, time: float, count: int) -> Rest | None:
         # Near rest Newton's method takes over, which also finds states that only friction holds. If the flow merely
         # creeps past a lost state, it finds nothing nearby, and the flow continues.
         if turn >= SLOW or (time <= 1e6 and count % PATIENT):
             return None
+        contact = at.state.contact
         last = increment(contact, rotations, at.state.x, at.before, at.signs)
         if last is None or not last.converged or contact.largest_rotation(last.state.x - at.state.x) >= NEAR:
             return None
@@ -383,9 +395,9 @@ def slide(contact: Contact, rotations: Array, x: Array, before: Array, push: Arr
 
     starts = [x] if push is None else [x + push, x - push]
     start = min(
-        (evaluate_contact(contact, rotations, side) for side in starts),
+        (contact.evaluate(rotations, side) for side in starts),
         key=lambda side: side.energy + heat_to(side, before),
     )
     # A push turns work into heat at once, as a step does.
-    first = (before, 0.0) if push is None else (start.relative_rotations, heat_to(start, before))
-    return flow(_Slid(start, *first), step, lambda _, slip: contact.largest_rotation(slip.step), moved, rest)
+    first = _Slid(start, before, 0.0) if push is None else _Slid(*contact.renewed(start), heat_to(start, before))
+    return flow(first, step, lambda at, slip: at.state.contact.largest_rotation(slip.step), moved, rest)

@@ -7,7 +7,7 @@ snaps: it flows downhill, against friction, until it comes to rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -15,12 +15,14 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..block.transcription.contact import evaluate_contact, make_contact
+from ..block.transcription.bundle import bundle_arm
+from ..block.transcription.contact import make_contact
 from ..block.transcription.loaded import LoadedState, integration_to
 from ..block.transcription.orientation import position_slopes
 from ..display import Displayed
 from ..equilibrium.continuation import Family, SampledJointPath, distance_to_end, largest_twist
 from ..equilibrium.friction import (
+    BundleFriction,
     FrictionEquilibrium,
     bent_at,
     rest,
@@ -37,6 +39,7 @@ from ..equilibrium.problem import check_load, loading_of
 from ..equilibrium.result import Equilibrium, refuse_friction
 from ..errors import InputError, SolveError
 from ..robots.concentric import Friction
+from ..robots.eccentric import BundleRobot
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..solvers.blas import small
@@ -127,7 +130,7 @@ def segments_with_friction(
     """State at every waypoint (T, 2n), or a function that computes it, and the snaps on the segment to it."""
     current = start_with_friction(robot, joints[0], friction, start, load)
     at_start = np.allclose(np.concatenate([current.rotations, current.translations]), joints[0], rtol=0, atol=1e-12)
-    if not at_start or current.contact.load != load:
+    if not at_start or current.load != load:
         current, _ = segment_with_friction(robot, current, joints[0], load)
     yield current, []
     for part in follow_with_friction(robot, joints, current, load):
@@ -181,9 +184,10 @@ def follow_with_friction(
         compiled: False to follow all rows with step-length control.
     """
     k, stations = 1, np.zeros(0) if stations is None else stations
+    compiled = compiled and load is None and robot.fixed_sections
     while k < len(joints):
         rows = joints[k - 1 : k + WAYPOINTS]
-        states = sweep(robot, current, rows, stations, margins=margins) if compiled and load is None else None
+        states = sweep(robot, current, rows, stations, margins=margins) if compiled else None
         count = 0 if states is None else len(states.margin)
         if states is not None and count:
             end = swept(robot, current, rows, states, count)
@@ -222,7 +226,7 @@ def segment_with_friction(
     """State after a straight motion to joint values (2n,) and another load, and the snaps on it."""
     snaps: list[FrictionSnap] = []
     path = SampledJointPath(robot, np.concatenate([current.rotations, current.translations]), goal)
-    for result in _along(Family(path, load, current.contact.load), current):
+    for result in _along(Family(path, load, current.load), current):
         if isinstance(result, FrictionSnap):
             snaps.append(result)
             current = result.after
@@ -286,6 +290,8 @@ def _distance(a: FrictionEquilibrium, b: FrictionEquilibrium) -> float:
 
     Bending is measured by the rotation of the arm if its curvature changed everywhere by the same amount.
     """
+    if isinstance(a, BundleFriction) and isinstance(b, BundleFriction):
+        return b.member.distance(a.point, b.increment.state.elastic)
     problem = b.contact.problem
     theta_a = a.increment.state.elastic.theta if a.contact is b.contact else a.theta(problem.arc_length)
     change = ((b.increment.state.elastic.theta - b.rotations) - (theta_a - a.rotations)).ravel()[problem.flat]
@@ -304,13 +310,17 @@ def _flow(family: Family, current: FrictionEquilibrium, t: float, *, pushed: boo
     contact, before, x = start_increment(family.path.robot, current, rotations, translations, load)
     push = None
     if pushed and contact is current.contact:
-        push = NUDGE * softest(contact, current.increment.state, current.increment.signs)
+        push = NUDGE * softest(current.increment.state, current.increment.signs)
     elif pushed:  # on another mesh the softest direction is that of the state carried over
-        state = evaluate_contact(contact, rotations, x)
-        push = NUDGE * softest(contact, state, np.ones(len(before), dtype=np.int8))
+        push = NUDGE * softest(contact.evaluate(rotations, x), np.ones(len(before), dtype=np.int8))
     landed = slide(contact, rotations, x, before, push)
     if landed is None:
         return None
+    if isinstance(current, BundleFriction):
+        state, joints = landed.increment.state, (rotations, translations)
+        member = replace(current.member, problem=state.elastic.problem, rotations=rotations, robot=family.path.robot)
+        member = replace(member, translations=tuple(translations.tolist()))
+        return BundleFriction(state.contact, *joints, landed.increment, current.heat + landed.heat, member=member)
     return FrictionEquilibrium(contact, rotations, translations, landed.increment, current.heat + landed.heat)
 
 
@@ -362,7 +372,7 @@ class FrictionBand(Displayed):
 def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     """Largest displacement that friction allows from an equilibrium without friction, for any history.
 
-    The robot must be concentric.
+    The robot must be concentric, or a bundle, for which nothing is guaranteed beyond first order.
 
     Raises:
         InputError: an equilibrium under friction, or under a load without an energy; a friction for another robot, an
@@ -379,6 +389,8 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     robot = equilibrium.robot
     validate_friction(robot, friction)
     refuse_friction(equilibrium)
+    if isinstance(robot, BundleRobot):
+        return _bundle_band(equilibrium, friction)
     shift, load = tuple(equilibrium.translations.tolist()), equilibrium.load or Load()
     check_load(robot, load, shift)
     load.require_energy("there is no least energy around which friction could be bounded")
@@ -390,7 +402,7 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     torsion = problem.torsion
 
     # First order: points move by -J H^-1 P' lam, with |lam| at most the capacity D.
-    response = scipy.linalg.solve(state.hessian, contact.rows.T, assume_a="sym")
+    response = scipy.linalg.solve(state.hessian, state.rows.T, assume_a="sym")
     weights = np.array([integration_to(problem, s) for s in equilibrium.arc_length.tolist()])
     slopes = position_slopes(state.elastic.orientation, weights) @ state.elastic.curvature_slope
     first_order = np.abs(slopes @ response[: problem.size]) @ contact.capacity
@@ -415,3 +427,26 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
             squares += ((reach * torsion.weight * problem.softness) ** 2).sum(1)
         guaranteed = np.sqrt(squares) * (np.sqrt(push) / certificate)
     return FrictionBand(equilibrium, friction, certificate, np.asarray(first_order), guaranteed)
+
+
+def _bundle_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
+    """Band of a bundle: to first order, at the same fractions of the elements of its mesh."""
+    load = equilibrium.load
+    if load is not None:
+        load.require_energy("there is no least energy around which friction could be bounded")
+    current = rest(equilibrium.robot, equilibrium, friction)
+    state = current.increment.state
+    response = scipy.linalg.solve(state.hessian, state.rows.T, assume_a="sym") * state.capacity
+    # Positions are smooth in x: a central difference of a turn of 1e-4 rad is exact to 1e-8 of the band.
+    first_order = np.zeros((len(bundle_arm(current.rotations, state.elastic).arc_length), 3))
+    for column in response.T:
+        step = column * (1e-4 / max(state.contact.largest_rotation(column), 1e-300))
+        ahead, behind = (
+            bundle_arm(current.rotations, state.contact.evaluate(current.rotations, state.x + sign * step).elastic)
+            for sign in (1.0, -1.0)
+        )
+        first_order += (
+            np.abs(ahead.position - behind.position) / 2 * float(np.linalg.norm(column) / np.linalg.norm(step))
+        )
+    unbounded = np.full(len(first_order), np.inf)
+    return FrictionBand(equilibrium, friction, -np.inf, first_order, unbounded)

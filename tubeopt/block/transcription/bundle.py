@@ -476,6 +476,14 @@ class BundleState:
         return -self.loading.by_x(self.problem)
 
 
+class VanishingError(Exception):
+    """Raised if a step makes the length of a section vanish."""
+
+    def __init__(self, state: BundleState, section: int) -> None:
+        super().__init__()
+        self.state, self.section = state, section
+
+
 def evaluate(problem: BundleProblem, rotations: Array, x: Array, factor: float = 1.0) -> BundleState:
     """Potential energy with gradient and Hessian at x (U,), for base rotations (n,) and `factor` times the load."""
     n, count = problem.n, len(problem.weight)
@@ -810,10 +818,14 @@ def margin_form(state: BundleState) -> Array:
     elastic stiffness. Without a load this leaves the torsion (split, split); with one it is (U, U), and without offsets
     the form of `loaded`.
     """
-    basis = _relative(state)
-    if state.loading is None:
-        basis = basis[:, : state.problem.split]
+    basis = margin_basis(state)
     return np.asarray(basis.T @ state.hessian @ basis)
+
+
+def margin_basis(state: BundleState) -> Array:
+    """Matrix (U, F) from coordinates of `margin_form` to unknowns: (U, split) without a load, (U, U) with one."""
+    basis = _relative(state)
+    return basis[:, : state.problem.split] if state.loading is None else basis
 
 
 class BundleMode(NamedTuple):
@@ -833,7 +845,7 @@ def mode_of(state: BundleState, vector: Array) -> BundleMode:
 
 
 def _relative(state: BundleState) -> Array:
-    """Matrix (U, U) from coordinates of `margin_form` to unknowns."""
+    """Matrix (U, U) from relative coordinates of torsion and bending to unknowns."""
     problem = state.problem
     split, stiffness = problem.split, problem.bundle.torsional_stiffness
     untwisted = np.column_stack(

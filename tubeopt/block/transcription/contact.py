@@ -11,12 +11,19 @@ does not depend: the energy is E(z) + y'y / 2.
 
 Under a load the arm also bends by q (see `loaded`): x = (z, q, y), and an equilibrium is a minimum of
 E(z, q) - W + y'y / 2. The rows stay the same, since bending changes no relative rotation.
+
+In a bundle every tube rubs in its channel: in the tube around it, or in the sheath, which does not twist. Bending moves
+a tube along its channel. So the slip at a place is phi(x) less the rotation that the material there had before, and a
+torque does virtual work on the change of rotation of the material, d phi - w d sigma, with the twist w of the tube and
+its own length sigma up to the place. The rows follow x.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -25,8 +32,9 @@ from ...robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ...robots.concentric import PAIRWISE, Friction
 from ...robots.load import Load
 from ...typing import Array, Index, Mask
-from . import loaded
+from . import bundle, loaded
 from .arm import Profile, integrate, pushed
+from .bundle import HELD, BundleProblem, BundleState, margin_basis
 from .loaded import LoadedProblem, LoadedState, Loading, load_problem
 from .mesh import element_counts, loaded_mesh, make_mesh
 from .reduced import Evaluation, ReducedProblem, evaluate, reduce, to_unknowns, tube_turn
@@ -71,6 +79,8 @@ class Contact:
     """Derivatives (M, U) by z of the rotations at the concentrated friction."""
     rotation_by_y: Array
     """Derivatives (M, Y) by y of the rotations at the concentrated friction."""
+    linear = True
+    """True if rows and capacities do not change with the unknowns."""
 
     @property
     def elastic_size(self) -> int:
@@ -90,6 +100,27 @@ class Contact:
             length = self.problem.assembly.total_length
             rotations.append(length * np.repeat(self.loaded.softness, 2) * q)
         return float(np.abs(np.concatenate(rotations)).max(initial=0.0))
+
+    def evaluate(self, rotations: Array, x: Array) -> ContactState:
+        """State at base rotations (n,) and unknowns x (X,), without friction."""
+        return evaluate_contact(self, rotations, x)
+
+    def moved(self, rotations: Array, state: ContactState, step: Array) -> ContactState:
+        """State after a step (X,)."""
+        return self.evaluate(rotations, state.x + step)
+
+    def renewed(self, state: ContactState) -> tuple[ContactState, Array]:
+        """State whose contact measures slips from there, and the relative rotations (R,) that it measures them from."""
+        return state, state.relative_rotations
+
+    def form(self, state: ContactState) -> tuple[Array, Array]:
+        """Second variation, whose smallest eigenvalue is the margin, and the rows in its coordinates."""
+        return state.hessian, self.rows
+
+    def round_off(self, state: ContactState) -> float:
+        """Sum of the parts of the energy (J), which may cancel."""
+        work = 0.0 if self.loaded is None else abs(state.elastic.potential - state.elastic.energy)
+        return float(self.problem.energy_parts + abs(state.energy) + work)
 
 
 class _Concentrated(NamedTuple):
@@ -214,10 +245,11 @@ def _rotations_between(problem: ReducedProblem, arc_length: Array, tube: Index) 
 class ContactState:
     """State of a contact at unknowns x, without friction."""
 
+    contact: Contact | BundleContact
     x: Array
     """Unknowns (X,)."""
-    elastic: Evaluation | LoadedState
-    """State of the tubes, by (z, q)."""
+    elastic: Any
+    """State of the tubes, by (z, q): an `Evaluation`, a `LoadedState` or a `BundleState`."""
     energy: float
     """Energy less the work of the load, J."""
     gradient: Array
@@ -225,7 +257,13 @@ class ContactState:
     hessian: Array
     """Hessian (X, X) of the energy."""
     relative_rotations: Array
-    """Rotations (R,) of the outer tube relative to the inner one, rad."""
+    """Rotations (R,) of the outer tube relative to the inner one, rad; of a bundle since the last state."""
+    rows: Array
+    """Derivative (R, X) of the relative rotations by the unknowns, rad per sqrt(J)."""
+    capacity: Array
+    """Largest friction torques (R,), N m."""
+    rows_by_bend: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Derivative (R, 2 N) of the relative rotations in a bundle by kappa, as h follows it."""
 
     @property
     def torsion(self) -> Evaluation:
@@ -247,7 +285,8 @@ def evaluate_contact(contact: Contact, rotations: Array, x: Array) -> ContactSta
         gradient = np.concatenate([gradient, y])
         hessian = scipy.linalg.block_diag(hessian, np.eye(len(y)))
     relative = (rotations[contact.pair + 1] - rotations[contact.pair]) + contact.rows @ x
-    return ContactState(x, elastic, elastic.potential + float(y @ y) / 2, gradient, hessian, relative)
+    energy = elastic.potential + float(y @ y) / 2
+    return ContactState(contact, x, elastic, energy, gradient, hessian, relative, contact.rows, contact.capacity)
 
 
 def contact_profile(contact: Contact, rotations: Array, state: ContactState, torque: Array) -> Profile:
@@ -289,3 +328,206 @@ def bending_of(contact: Contact, x: Array) -> Array | None:
     if contact.loaded is None:
         return None
     return contact.loaded.softness[:, None] * x[contact.problem.size : contact.elastic_size].reshape(-1, 2)
+
+
+# --- Tubes in the channels of a sheath --------------------------------------------------------------------------------
+
+SHEATH = -1
+"""Number of the sheath among the outer tubes of pairs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Material:
+    """Rotations of the material of all tubes in a state of a bundle."""
+
+    state: BundleState
+    rotations: Array
+    """Base rotations (n,), rad."""
+    translations: Array
+    """Translations (n,), m."""
+
+    def rotation(self, tube: Index, place: Array) -> Array:
+        """Rotations (R,) of tubes (R,), rad, at places (R,) on them: own length from the plate at home, m."""
+        problem, t = self.state.problem, self.state.problem.tableau
+        count, bundle = len(problem.section), problem.bundle
+        turn, length = (part.reshape(count, t.degree, -1) for part in (self.state.turn, self.state.length))
+        length = np.where(problem.present.reshape(length.shape), length, 0.0)
+        twist = problem.torsion(self.state.x)[1]
+        along = np.cumsum(np.einsum("k,pkn->pn", t.weights, length), axis=0)
+        reached = self.rotations + twist + np.cumsum(np.einsum("k,pkn->pn", t.weights, turn), axis=0)
+        to_place = place + self.translations[tube]
+        # The first element that reaches the place; beyond the end of a tube, its last one.
+        beyond = (along[:, tube] < np.minimum(to_place, along[-1, tube] - HELD)).sum(0)
+        element = np.minimum(beyond, count - 1)
+        first = np.where(element > 0, along[element - 1, tube], 0.0)
+        base = np.where(element > 0, reached[element - 1, tube], (self.rotations + twist)[tube])
+        g, p = length[element, :, tube], turn[element, :, tube]
+        x = np.clip(to_place - first, 0.0, None) / np.maximum(g @ t.weights, HELD)
+        for _ in range(3):  # g varies by a percent in an element
+            x = x - ((t.lagrange(x, integrals=1) * g).sum(1) - (to_place - first)) / (t.lagrange(x) * g).sum(1)
+        inside = base + (t.lagrange(x, integrals=1) * p).sum(1)
+        # Behind the plate the twist is constant; a tube clamped at the plate has no rotation there.
+        per_length = np.divide(twist, bundle.transmission, out=np.zeros(len(twist)), where=bundle.transmission > 0)
+        behind = np.maximum(to_place, -bundle.transmission[tube])
+        return np.asarray(np.where(to_place < 0, (self.rotations + twist)[tube] + behind * per_length[tube], inside))
+
+
+class Place(NamedTuple):
+    """Places of R rows of friction on the mesh of a bundle."""
+
+    inner: Index
+    """Tubes (R,) that rub in what is around them."""
+    outer: Index
+    """Tubes (R,) around them, or SHEATH."""
+    point: Index
+    """Points (R,); -1 for concentrated friction."""
+    up_to: Array
+    """Weights (R, N) of the integrals up to the places."""
+    at: Array
+    """Weights (R, N) that interpolate to the places."""
+    torque: Array
+    """Largest torque (R,): per own length of the inner tube, N, or at places, N m."""
+
+
+@dataclass(frozen=True, eq=False)
+class BundleContact:
+    """Rows of friction of the tubes of a bundle in their channels, as `Contact` has for nested tubes."""
+
+    problem: BundleProblem
+    friction: Friction
+    pairs: tuple[tuple[int, int], ...]
+    """Pairs (n,) of each tube and the tube around it, or SHEATH."""
+    rotations: Array
+    """Base rotations (n,), rad."""
+    translations: Array
+    """Translations (n,), m."""
+    before: Material
+    """State from which slips are measured."""
+    advanced: Callable[[BundleState, Array], BundleState]
+    """Returns the state after a step; boundaries may have another order or stay together there."""
+    linear = False
+    """True if rows and capacities do not change with the unknowns."""
+
+    @cached_property
+    def place(self) -> Place:
+        """Places of the rows."""
+        problem, n, friction = self.problem, self.problem.n, self.friction
+        count, degree = len(problem.weight), problem.tableau.degree
+        torque, plate, jumps, ends = (np.array(friction.per_pair(name, n)) for name in PAIRWISE)
+        long = ~np.isin(problem.point_section, [*problem.held])
+        inner, outer = [], []
+        point, up_to, at, limit = [], [], [], []
+
+        def add(pair: tuple[int, int], where: int, whole: Array, here: Array, largest: float) -> None:
+            if largest > 0:
+                inner.append(pair[0])
+                outer.append(pair[1])
+                point.append(where)
+                up_to.append(whole)
+                at.append(here)
+                limit.append(largest)
+
+        def around(i: int, outside: int, k: int) -> tuple[int, int]:
+            return (i, outside) if outside >= 0 and problem.present[k, outside] else (i, SHEATH)
+
+        unit = np.eye(count)
+        for i, outside in self.pairs:
+            for k in np.flatnonzero(long & problem.present[:, i]).tolist():
+                add(around(i, outside, k), k, problem.up_to[k], unit[k], float(torque[i]))
+            if not problem.present[0, i]:
+                continue
+            # A tube clamped at the plate itself follows its drive there.
+            if i in problem.sprung or (outside in problem.sprung and problem.present[0, outside]):
+                add(around(i, outside, 0), -1, np.zeros(count), unit[0], float(plate[i]))
+            for section, boundary in enumerate(problem.order):
+                whole = problem.weight * (problem.point_section <= section)
+                last = int(np.flatnonzero(problem.point_section == section)[-1])
+                here = np.zeros(count)
+                here[last + 1 - degree : last + 1] = problem.tableau.basis((1.0,), 0)[0]
+                pair = around(i, outside, last)
+                if problem.present[last, i] and {i, pair[1]} & set(boundary.tubes):
+                    ending = (i if pair[1] == SHEATH else pair[1]) in boundary.ends
+                    add(pair, -1, whole, here, float(ends[i] if ending else jumps[i]))
+        shape = (-1, count)
+        return Place(
+            np.array(inner, dtype=np.intp),
+            np.array(outer, dtype=np.intp),
+            np.array(point, dtype=np.intp),
+            np.reshape(up_to, shape),
+            np.reshape(at, shape),
+            np.array(limit),
+        )
+
+    @property
+    def pair(self) -> Index:
+        """Inner tubes (R,) of the rows."""
+        return self.place.inner
+
+    @property
+    def load(self) -> Load | None:
+        """External load, or None."""
+        return self.problem.load
+
+    def largest_rotation(self, step: Array) -> float:
+        """Largest rotation by a step in x, rad: of a tube, or of the arm."""
+        change, n = self.problem.push(step), self.problem.n
+        arm = self.problem.up_to @ change[:, -3:-1]
+        return max(float(np.abs(change[:, :n]).max()), float(np.abs(arm).max()))
+
+    def evaluate(self, rotations: Array, x: Array) -> ContactState:
+        """State at base rotations (n,) and unknowns x (X,), without friction."""
+        return self.of(rotations, bundle.evaluate(self.problem, rotations, x))
+
+    def moved(self, rotations: Array, state: ContactState, step: Array) -> ContactState:
+        """State after a step (X,), of another contact if sections vanish."""
+        elastic = self.advanced(state.elastic, step)
+        contact = self if elastic.problem is self.problem else replace(self, problem=elastic.problem)
+        return contact.of(rotations, elastic)
+
+    def renewed(self, state: ContactState) -> tuple[ContactState, Array]:
+        """State whose contact measures slips from there, and the relative rotations (R,) that it measures them from."""
+        material, none = Material(state.elastic, self.rotations, self.translations), np.zeros(len(state.rows))
+        contact = replace(self, problem=state.elastic.problem, before=material)
+        return replace(state, contact=contact, relative_rotations=none), none
+
+    def of(self, rotations: Array, elastic: BundleState) -> ContactState:
+        """State of a contact from that of the tubes."""
+        problem, place = self.problem, self.place
+        inner, outer, up_to = place.inner, place.outer, place.up_to
+        rows, n = len(inner), problem.n
+        parts = self, elastic.x, elastic, elastic.energy, elastic.gradient, elastic.hessian
+        if not np.isfinite(elastic.energy):
+            return ContactState(*parts, np.zeros(rows), np.full((rows, problem.size), np.nan), np.ones(rows))
+        base = rotations + problem.torsion(elastic.x)[1]
+        length = np.where(problem.present, elastic.length, 0.0)
+        slip, stretch = np.zeros(rows), np.zeros((rows, n))
+        table = np.zeros((rows, n, len(problem.weight) + 1))
+        row, integral = np.arange(rows), np.column_stack([up_to, np.ones(rows)])
+        for sign, every in ((-1.0, inner), (1.0, outer)):
+            on = np.flatnonzero(every >= 0)
+            tube = every[on]
+            theta = base[tube] + (up_to[on] * elastic.turn.T[tube]).sum(1)
+            sigma = (up_to[on] * length.T[tube]).sum(1)
+            was = self.before.rotation(tube, sigma - self.translations[tube])
+            slip[on] += sign * (theta - was)
+            twist = (place.at[on] * elastic.turn.T[tube]).sum(1) / (place.at[on] * length.T[tube]).sum(1)
+            stretch[on, tube] = sign * twist
+            table[row[on], tube] = sign * integral[on]
+        # d sigma = integral of dh + d a.dkappa.
+        by_bend = up_to[:, :, None] * (stretch @ problem.bundle.levers)[:, None]
+        along = stretch.sum(1)[:, None] * ((up_to @ problem.in_section.T) @ problem.lengths_by_bend)
+        by_torsion = table.reshape(rows, -1)[:, problem.rows] * problem.scale
+        by_kappa = -by_bend.reshape(rows, -1) - along
+        by_x = np.hstack([by_torsion, by_kappa @ problem.bend_map])
+        at_points = place.point >= 0
+        covered = (problem.weight[:, None] * length)[place.point, inner]
+        return ContactState(*parts, slip, by_x, place.torque * np.where(at_points, covered, 1.0), by_kappa)
+
+    def form(self, state: ContactState) -> tuple[Array, Array]:
+        """Second variation, whose smallest eigenvalue is the margin, and the rows in its coordinates."""
+        basis = margin_basis(state.elastic)
+        return basis.T @ state.hessian @ basis, state.rows @ basis
+
+    def round_off(self, state: ContactState) -> float:
+        """Sum of the parts of the energy (J), which may cancel."""
+        return abs(state.energy) + 2 * abs(float(state.elastic.work))
