@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from tests.examples import THESIS
 from tests.stability.test_friction import random_way
 from tests.validation.drives import joints, robot
-from tubeopt import ConcentricRobot, Friction
+from tubeopt import ConcentricRobot, Friction, Piece, Tube
 from tubeopt.equilibrium.continuation import steps_along
 from tubeopt.equilibrium.friction import sweep, swept
 from tubeopt.solvers.compiled.binding import kernel_of
@@ -31,6 +33,21 @@ def way(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
     at = np.linspace(0, len(corners) - 1, 21)
     rows = np.column_stack([np.interp(at, np.arange(len(corners)), column) for column in corners.T])
     return inputs, rows, Friction(rub.torque)
+
+
+def way_of_pieces(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
+    """A robot of pieces that vary and twist along the tubes, with friction, and rows (T, 2n) of a way with slides."""
+    random = np.random.default_rng(seed)
+    wavy = Piece(0.05, lambda s: (9 * math.cos(30 * s), 3.0, 5 * s), torsional_stiffness=lambda s: 1e-3 + 0.01 * s)
+    soft = Piece(0.06, (4.0, 5.0, 3.0), bending_stiffness=lambda s: 8e-3 * (1 + 0.3 * math.sin(40 * s)))
+    inner = Tube.of_pieces(1.0e-3, 0.8e-3, (wavy, Piece(0.03, 6.0)), straight_length=0.12)
+    middle = Tube.of_pieces(1.5e-3, 1.2e-3, (soft,), straight_length=0.06)
+    inputs = ConcentricRobot((inner, middle, Tube(2.0e-3, 1.7e-3, 0.03, 0.05, 4.0)))
+    slides = np.minimum(np.cumsum(random.normal(0, 4e-3, (6, 3)), axis=0), 0.0)
+    corners = np.hstack([np.cumsum(random.normal(0, 0.7, (6, 3)), axis=0), slides])
+    at = np.linspace(0, len(corners) - 1, 21)
+    rows = np.column_stack([np.interp(at, np.arange(len(corners)), column) for column in corners.T])
+    return inputs, rows, Friction((0.02, 0.01))
 
 
 def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> PredictedPoses:
@@ -60,11 +77,19 @@ def test_no_step_is_too_long_or_changes_the_order_of_breakpoints() -> None:
         assert (np.diff(part) > 0).all() or k == 9
 
 
-@pytest.mark.parametrize("seed", [2, 4, 15])  # 4 has steps that the kernel leaves to Python, 15 slides
-def test_kernel_finds_the_states_of_python(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    own = poses(*way(seed))
+# 4 has steps that the kernel leaves to Python, 15 slides.
+@pytest.mark.parametrize(
+    ("of", "seed"), [(way, 2), (way, 4), (way, 15), (way_of_pieces, 0), (way_of_pieces, 1), (way_of_pieces, 3)]
+)
+def test_kernel_finds_the_states_of_python(
+    of: Callable[[int], tuple[ConcentricRobot, Array, Friction]], seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs, rows, rub = of(seed)
+    held = start_with_friction(inputs, rows[0], Friction(rub.torque, refinement=-1))
+    assert sweep(inputs, held, rows, np.zeros(1)) is not None
+    own = poses(inputs, rows, rub)
     monkeypatch.setattr(friction_path, "sweep", lambda *_, **__: None)
-    other = poses(*way(seed))
+    other = poses(inputs, rows, rub)
     assert own.solved.all()
     assert own.position == pytest.approx(other.position, abs=1e-10)
     assert own.frame == pytest.approx(other.frame, abs=1e-9)

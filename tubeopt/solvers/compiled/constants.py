@@ -98,5 +98,5 @@ def friction_constants() -> str:
         "LARGEST_TWIST": LARGEST_TWIST,
         "SOFT_TWIST": SOFT_TWIST,
     }
-    tables = {"TWICE_LEGENDRE": tableau("gauss", DEGREE).integrated(2)}
+    tables = {f"{name}_LEGENDRE": tableau("gauss", DEGREE).integrated(k) for k, name in ((1, "ONCE"), (2, "TWICE"))}
     return defined(numbers) + c_tables(tables)

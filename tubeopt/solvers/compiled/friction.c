@@ -193,16 +193,22 @@ static int settle(Held *h, int wanted, Room *w) {
 /* theta of a tube at arc length s, constant beyond the tip, behind the plate by the torque of the transmission. */
 static double theta_at(const Held *h, int tube, double s) {
     const Layout *l = &h->layout;
-    double inside = fmax(s, 0), legendre[MOST_DEGREE + 2] = {1}, twice[MOST_DEGREE] = {0};
-    double behind = fmin(s, 0) * h->arm.torque[0][tube] / h->q.tubes->kt[tube];
+    double inside = fmax(s, 0), legendre[MOST_DEGREE + 2] = {1}, once[MOST_DEGREE] = {0}, twice[MOST_DEGREE] = {0};
+    double behind = 0;
+    if (s < 0) {
+        double reach = compliant(h->q.tubes->pieces, tube, fmax(l->transmission[tube] + s, 0));
+        behind = (reach - l->held[tube]) * h->arm.torque[0][tube];
+    }
     int p = 0, degree = h->q.tableau->degree;
     if (!l->pieces) return h->arm.rotation[0][tube] + behind; /* an arm of length zero */
     while (p + 1 < l->pieces && l->start[p + 1] <= inside) p++;
     double along = l->length[p], x = fmin(fmax((inside - l->start[p]) / along, 0), 1), u = legendre[1] = 2 * x - 1;
     for (int j = 2; j < degree + 2; j++) legendre[j] = ((2 * j - 1) * u * legendre[j - 1] - (j - 1) * legendre[j - 2]) / j;
-    for (int k = 0; k < degree; k++)
+    for (int k = 0; k < degree; k++) {
+        for (int j = 0; j < degree + 1; j++) once[k] += legendre[j] * ONCE_LEGENDRE[j * degree + k];
         for (int j = 0; j < degree + 2; j++) twice[k] += legendre[j] * TWICE_LEGENDRE[j * degree + k];
-    return rotation_at(&h->q, &h->arm, p, tube, x, NULL, twice) + behind;
+    }
+    return rotation_at(&h->q, &h->arm, p, tube, x, once, twice) + behind;
 }
 
 /* The state at other joint values: NULL where the step is too long. */

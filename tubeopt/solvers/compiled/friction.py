@@ -11,7 +11,7 @@ import numpy as np
 
 from ...block.transcription.contact import ELEMENTS
 from ...robots.concentric import Friction
-from ...robots.robot import Robot, is_general
+from ...robots.robot import Robot
 from ...typing import Array
 from ..friction_increment import Signs
 from ..time_limit import check_time
@@ -98,7 +98,7 @@ def friction_motion(
     """
     check_time()
     n, unknowns, torque, signs = robot.n_tubes, start.unknowns, start.torque, start.signs
-    if is_general(robot) or not simple(friction) or max(len(unknowns), len(torque)) > MOST_UNKNOWNS:
+    if not simple(friction) or max(len(unknowns), len(torque)) > MOST_UNKNOWNS:
         return None
     prepared = with_kernel(robot)
     kernel = None if prepared is None else _kernel(n)
