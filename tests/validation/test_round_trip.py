@@ -33,7 +33,6 @@ QUICK = FitOptions(folds=0)
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tubeopt.validation.fitting.FITTING", LeastSquaresSolver(iterations=2))
-    monkeypatch.setattr("tubeopt.validation.fitting.DRAWS", 5)
 
 
 def recording(robot: Robot, *, poses: bool = True, count: int = 14) -> Measurements:

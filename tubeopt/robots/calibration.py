@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..display import Displayed
-from ..errors import InputError, finite, positive, vector
-from ..files.field_metadata import Absent, unit
+from ..errors import InputError, choice, finite, positive, vector
+from ..files.field_metadata import NOT_NEGATIVE, Absent, unit
+from ..files.units import UNITS
 from ..typing import Array
 from .limits import JointLimits, default_limits
 from .tubes import Tube
@@ -180,6 +181,82 @@ class Calibration(Displayed):
             tuple(zip(a.tolist(), b.tolist(), strict=True)) for a, b in zip(low, high, strict=True)
         )
         return JointLimits(rotations=rotations, translations=translations)
+
+
+DEVIATIONS = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s", "N": "mN_m_per_m", "m/N": "mm_per_N"}
+"""SI unit of a fitted parameter -> unit in files and records."""
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """Standard deviation of a parameter of the robot."""
+
+    name: Annotated[str, "name of the parameter, as for `tubeopt validate --fit`"]
+    unit: Annotated[str, "unit of the deviation; empty for a factor"]
+    deviation: Annotated[float, NOT_NEGATIVE, "standard deviation from the value in this file"]
+
+    def __post_init__(self) -> None:
+        choice("unit", self.unit, tuple(DEVIATIONS.values()))
+        positive(f"deviation of {self.name}", self.deviation, zero=True)
+
+    @property
+    def si(self) -> float:
+        """The deviation in SI."""
+        return self.deviation * (float(UNITS[self.unit]) if self.unit else 1.0)
+
+
+@dataclass(frozen=True)
+class Posterior(Displayed):
+    """How far the real robot may be from its file, after a fit: normal deviations of its parameters.
+
+    Raises:
+        InputError: correlations that are not those of the parameters.
+    """
+
+    parameters: Annotated[tuple[Deviation, ...], "parameters of the real robot that may differ from this file"]
+    correlations: Annotated[tuple[Numbers, ...], "correlations of the parameters, one row for each"]
+    misfit: Annotated[
+        float, unit("mm"), NOT_NEGATIVE, "standard deviation of a coordinate of the tip that no parameter explains"
+    ] = 0.0
+    noise: Annotated[float, unit("mm"), NOT_NEGATIVE, "standard deviation of a measured coordinate of the tip"] = 0.0
+
+    def __post_init__(self) -> None:
+        count = len(self.parameters)
+        table = np.array([len(row) == count for row in self.correlations])
+        if len(table) != count or not table.all():
+            raise InputError(f"correlations must be {count} rows of {count} numbers, one for every parameter")
+        matrix = np.array(self.correlations).reshape(count, count)
+        if not np.allclose(matrix, matrix.T) or not np.allclose(np.diag(matrix), 1) or (np.abs(matrix) > 1.001).any():
+            raise InputError("correlations must be a symmetric table of numbers from -1 to 1, with 1 on the diagonal")
+
+    @classmethod
+    def of(
+        cls, names: Sequence[str], units: Sequence[str], covariance: Array, misfit: float, noise: float
+    ) -> Posterior:
+        """Posterior of parameters with SI units and a covariance (P, P) in SI, and errors of tips, m."""
+        sizes = np.sqrt(np.diag(covariance))
+        correlations = covariance / np.outer(sizes, sizes)
+        shown = [DEVIATIONS[each] for each in units]
+        scaled = [size / float(UNITS[each]) if each else size for size, each in zip(sizes.tolist(), shown, strict=True)]
+        return cls(
+            tuple(map(Deviation, names, shown, scaled)),
+            tuple(tuple(row) for row in np.round((correlations + correlations.T) / 2, 9).tolist()),
+            misfit,
+            noise,
+        )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(each.name for each in self.parameters)
+
+    @property
+    def factor(self) -> Array:
+        """(P, P) matrix with which independent standard normal numbers give deviations of the parameters, SI."""
+        count = len(self.parameters)
+        values, vectors = np.linalg.eigh(np.array(self.correlations).reshape(count, count))
+        sizes = np.array([each.si for each in self.parameters])
+        return np.asarray(sizes[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 # Names of the fields with a number for every tube.

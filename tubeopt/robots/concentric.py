@@ -13,7 +13,7 @@ from ..errors import InputError, items, numbers, positive
 from ..files.field_metadata import NOT_NEGATIVE, TYPICAL_TUBE_CLEARANCE, Range, Typical, check_size, check_typical, unit
 from ..typing import Array
 from .assembly import Assembly, assemble
-from .calibration import Calibration
+from .calibration import Calibration, Posterior
 from .limits import JointLimits
 from .robot import Robot, keeps_hash
 from .tubes import Tube
@@ -159,6 +159,8 @@ class ConcentricRobot(Robot):
     """Friction between neighbouring tubes, for motions with friction; None if unknown."""
     clearance: tuple[float, ...] | None = None
     """Radial clearances (n - 1,) of neighbouring tubes, m, for the tilt of the arm in them; None neglects them."""
+    posterior: Posterior | None = None
+    """Uncertainty of the parameters after a fit; None if unknown."""
 
     def __post_init__(self) -> None:
         tubes = items("tubes", self.tubes, Tube, "tubes, inner to outer")

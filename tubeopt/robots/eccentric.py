@@ -22,8 +22,8 @@ from ..physics.buffer import STEEPEST, buffer_bend
 from ..physics.strain import surface_strain
 from ..typing import Array
 from .assembly import LENGTH_ROUND_OFF, Assembly, assemble
-from .calibration import Calibration
 from .concentric import Friction, check_friction
+from .calibration import Calibration, Posterior
 from .limits import JointLimits
 from .robot import Robot, keeps_hash
 from .tubes import Tube, must_be_plain
@@ -256,6 +256,8 @@ class EccentricRobot(SheathedRobot):
     """Conversion of drive readings to joint values; None if they are equal."""
     buffer: Annotated[Buffer | None, "section between drive and plate, in which the tubes merge; default none"] = None
     """Section between drive and plate, in which the tubes merge; None without one."""
+    posterior: Posterior | None = None
+    """Uncertainty of the parameters after a fit; None if unknown."""
 
     def __post_init__(self) -> None:
         must_be_plain([self.tube], "an eccentric robot")
@@ -314,6 +316,8 @@ class SegmentedEccentricRobot(SheathedRobot):
     """Conversion of drive readings to joint values; None if they are equal."""
     buffer: Annotated[Buffer | None, "section between drive and plate, in which the tubes merge; default none"] = None
     """Section between drive and plate, in which the tubes merge; None without one."""
+    posterior: Posterior | None = None
+    """Uncertainty of the parameters after a fit; None if unknown."""
 
     def __post_init__(self) -> None:
         segments = tuple(self.segments)
@@ -382,6 +386,8 @@ class BundleRobot(Robot):
     """True if the curve of a tube may begin inside the tube around it; of segments it begins beyond."""
     friction: Friction | None = None
     """Friction of the tubes in their channels, for motions with friction; None if unknown."""
+    posterior: Posterior | None = None
+    """Uncertainty of the parameters after a fit; None if unknown."""
     fixed_sections = False
 
     def __post_init__(self) -> None:

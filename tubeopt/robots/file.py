@@ -28,7 +28,7 @@ from ..files.shipped import find_file
 from ..files.units import DEG, MM, PER_M, UNITS, in_unit, parse_number, to_si
 from ..files.yaml_file import load_yaml, to_yaml
 from ..typing import Array
-from .calibration import TABLES, Calibration
+from .calibration import TABLES, Calibration, Posterior
 from .concentric import ConcentricRobot, Friction, friction_of
 from .eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from .limits import JointLimits, reading_fault
@@ -406,13 +406,17 @@ class RobotEntry(Part):
         None, description="joint limits of the actuators; by default the range given by the tube lengths"
     )
     calibration: CalibrationEntry | None = Field(None, description="conversion of joint readings to joint values")
+    posterior: EntryOf[Posterior] | None = Field(
+        None, description="uncertainty of the parameters, written by `tubeopt validate --fit`"
+    )
 
     def common(self) -> dict[str, Any]:
-        """Name, limits and calibration in SI."""
+        """Name, limits, calibration and uncertainty in SI."""
         return {
             "name": self.name,
             "joint_limits": self.limits.build() if self.limits else None,
             "calibration": self.calibration.build() if self.calibration else None,
+            "posterior": self.posterior.build() if self.posterior else None,
         }
 
 
@@ -620,6 +624,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
         data["friction"] = {key: value for key, value in friction.items() if value not in (none[key], [none[key]])}
     if isinstance(robot, ConcentricRobot) and robot.clearance is not None:
         data["clearance_mm"] = [in_unit(x, MM) for x in robot.clearance]
+    if robot.posterior is not None:
+        data["posterior"] = to_data(robot.posterior)
     return data
 
 

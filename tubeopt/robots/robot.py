@@ -19,7 +19,7 @@ from ..errors import InputError, vector, without_unit_warnings
 from ..files.units import TO_MM
 from ..typing import Array, lazy_import
 from .assembly import Assembly
-from .calibration import Calibration, check_calibration, limits_of
+from .calibration import Calibration, Posterior, check_calibration, limits_of
 from .limits import FAR, MOST_TURN, JointLimits, check_reach, check_turn
 from .order import home_translations
 from .tubes import Tube, slots_unknown, warn_of_units
@@ -43,6 +43,8 @@ class Robot(Displayed, ABC):
     """Given joint limits; None for those that follow from the lengths."""
     calibration: Calibration | None
     """Conversion of drive readings to joint values; None if readings are joint values."""
+    posterior: Posterior | None
+    """Uncertainty of the parameters after a fit; None if unknown."""
     fixed_sections: bool = True
     """True if sections lie at arc lengths that the translations determine; False if they depend on the shape."""
     nested_curves: bool = True

@@ -141,6 +141,8 @@ TITLES = {
     "SegmentedEccentricEntry": "Eccentric tube robot, several segments",
     "Buffer": "Buffer between drive and sheath",
     "Friction": "Friction between tubes",
+    "Posterior": "Uncertainty of the parameters",
+    "Deviation": "Deviation of a parameter",
     "JointLimits": "Joint limits",
     "SavedRegistration": "Registration of a measuring device",
     # parts of studies

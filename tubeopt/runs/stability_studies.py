@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -39,6 +40,7 @@ from ..stability import (
 )
 from ..stability.certificate import ROUNDING
 from ..typing import Array, Progress
+from ..validation.certainty import certificate_bounds
 from .robot_keys import (
     HOME,
     SHIFTED,
@@ -169,6 +171,11 @@ class Certification(Displayed):
         key("certificate_under_force"),
         "lower bound on the margin at all rotations and under all such forces",
     ] = None
+    real: Annotated[
+        Array | None,
+        key("real_certificate"),
+        "certificate of the real robot with 95 and 99.9 %, to first order; absent without posterior",
+    ] = None
 
     @property
     def finding(self) -> Finding:
@@ -226,7 +233,9 @@ class CertifyStudy(Timed):
         if force is not None:
             with rewording({r"^max_force\b": "max_tip_force_mN"}):
                 forced = snap_free_certificate(self.robot, verdict.certificate.translations, max_force=force)
-        return Certification(self.robot, verdict, worst, self._robot_file, force, forced)
+        certificate = partial(snap_free_certificate, max_force=force or 0.0)
+        real = certificate_bounds(self.robot, certificate, verdict.certificate.translations)
+        return Certification(self.robot, verdict, worst, self._robot_file, force, forced, real)
 
     def _shift(self, key: str) -> Array:
         return joints_of(self.robot, None, self.si(key))[1]

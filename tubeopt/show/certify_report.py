@@ -140,6 +140,14 @@ def _force_text(a: Certification) -> str | None:
     return f"{pushed}: nothing is proved (certificate {a.forced:.3g})"
 
 
+def _real_text(a: Certification) -> str | None:
+    """Certificates of the real robot, as text."""
+    if a.real is None:
+        return None
+    likely, sure = a.real.tolist()
+    return f"at least {likely:.4f} with 95 %, {sure:.4f} with 99.9 % (estimated)"
+
+
 def _smallest_margin_text(a: Certification) -> str:
     """Smallest margin found and its rotations, as text."""
     worst = a.verdict.worst
@@ -228,6 +236,7 @@ CERTIFICATION = described(
              label="nothing is proved, since", optional=True),
     of_field(Certification, "force", optional=True),
     of_field(Certification, "forced", label="under a force on the tip", text=_force_text, optional=True),
+    of_field(Certification, "real", label="of the real robot", text=_real_text, optional=True),
     Quantity("untwisted_margin", "margin of the softest untwisted equilibrium, in closed form; eccentric robots only",
              lambda a: a.verdict.untwisted if isinstance(a.verdict, EccentricSnapAssessment) else None),
     Quantity("margin_found", "smallest margin found",

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from rich.console import Group
@@ -23,6 +24,9 @@ from ..typing import Array
 from .formatting import counted, ends_text, margin_text, millimetres, order_remarks, tip_number, tip_text
 from .quantities import LOADED, SNAP_DISTANCE, Quantity, described, line, of_field, readings, within
 from .report import Report, grid, remarks
+
+if TYPE_CHECKING:
+    from ..validation.certainty import Uncertainty
 
 
 def _poisson_ratio(tube: Tube) -> float | None:
@@ -181,6 +185,41 @@ NOTICED = 1e-3
 
 VERIFICATION = described(Verification, "tip_position tip_rotation rotation end_torsion end_curvature base_rotation")
 
+
+def _bounds_text(u: Uncertainty, k: int) -> str:
+    """Bounds at a probability in words."""
+    words = [f"tip within {u.tip_radius[k] * TO_MM:.2f} mm", f"margin at least {u.margin[k]:.4f}"]
+    turn = u.snap_distance[k]
+    if not np.isnan(turn):
+        words.append("no turn snaps" if turn == np.inf else f"no snap within {np.degrees(turn):.1f} deg")
+    return f"{', '.join(words)} (estimated)"
+
+
+REAL: tuple[Quantity[Uncertainty], ...] = (
+    Quantity("probabilities", "probabilities of the next bounds on the real robot; these are absent without posterior",
+             optional=True),
+    Quantity("real_tip_half_widths_mm", "the tip is within this along x, y and z, a row for each probability",
+             lambda u: u.tip_half_widths, optional=True),
+    Quantity("real_tip_radius_mm", "the tip is within this distance", lambda u: u.tip_radius, optional=True),
+    Quantity("real_margin", "the margin is at least this, to first order", lambda u: u.margin, optional=True),
+    Quantity("real_snap_distance_deg", "all tubes can turn by at least this without a snap, to first order",
+             lambda u: u.snap_distance, optional=True),
+    line("real robot, 95 %", lambda u: _bounds_text(u, 0)),
+    line("real robot, 99.9 %", lambda u: _bounds_text(u, 1)),
+)  # fmt: skip
+"""Bounds on the real robot of a calibrated one."""
+
+
+@lru_cache(maxsize=8)
+def _real(e: Equilibrium) -> Uncertainty | None:
+    """Bounds on the real robot; None without a posterior, with a history, and of unstable equilibria."""
+    if e.robot.posterior is None or e.friction is not None or not e.stable:
+        return None
+    from ..validation.certainty import uncertainty  # with all of validation, which forward kinematics starts without
+
+    return uncertainty(e)
+
+
 EQUILIBRIUM = described(
     Equilibrium,
     Quantity("robot", "name of the robot", lambda e: e.robot.name),
@@ -211,6 +250,7 @@ EQUILIBRIUM = described(
     "tip_rotations",
     of_field(Equilibrium, "margin", label="margin", text=lambda e: margin_text(e.margin)),
     *SNAP_DISTANCE,
+    *within(REAL, lambda e: _real(e)),
     "energy",
     *LOADED,
     "residual mesh_error tip_error",

@@ -11,6 +11,7 @@ from rich.console import RenderableType
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import SIGNS, TO_MM
+from ..robots.calibration import DEVIATIONS
 from ..robots.file import calibration_to_dict, save_robot, waypoints_csv
 from ..robots.passport import continue_passport
 from ..typing import Array
@@ -178,14 +179,10 @@ def save_residuals(directory: Path, v: Validation, held_out: Array | None = None
     return path
 
 
-SUFFIXES = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s", "N": "mN_m_per_m", "m/N": "mm_per_N"}
-"""SI unit of a parameter -> unit in its record."""
-
-
 def _estimate(e: Estimate) -> dict[str, Any]:
     """Record of an estimated parameter."""
-    names = ("start", "value", "standard_error", "low", "high", "block_error", "block_low", "block_high")
-    values = with_unit(SUFFIXES[e.unit], {name: getattr(e, name) for name in names})
+    names = ("start", "value", "standard_error", "low", "high", "posterior_error", "posterior_low", "posterior_high")
+    values = with_unit(DEVIATIONS[e.unit], {name: getattr(e, name) for name in names})
     return {"name": e.name, **values, "held": e.held}
 
 
@@ -234,21 +231,21 @@ class FitReport(Report[Fit]):
         """A row per parameter, then the remarks."""
         cells = []
         for e in self.answer.estimates:
-            unit = SUFFIXES[e.unit]
+            unit = DEVIATIONS[e.unit]
             sign = f" {SIGNS.get(unit, unit)}" if unit else ""
-            names = ("start", "value", "low", "high", "block_low", "block_high")
+            names = ("start", "value", "low", "high", "posterior_low", "posterior_high")
             factor = "× " if not unit and e.start == 1.0 else ""  # what is given is 1 of factors alone
-            start, value, low, high, block_low, block_high = (
+            start, value, low, high, posterior_low, posterior_high = (
                 f"{factor * (name in names[:2])}{in_units(getattr(e, name), unit):.4g}" for name in names
             )
             fitted = (
                 ("held", "–", "–")
                 if e.held
-                else (f"{value}{sign}", f"{low} to {high}{sign}", f"{block_low} to {block_high}{sign}")
+                else (f"{value}{sign}", f"{low} to {high}{sign}", f"{posterior_low} to {posterior_high}{sign}")
             )
             cells.append((e.name, f"{start}{sign}", *fitted))
         interval = f"{100 * self.answer.confidence:g} % interval"
-        columns = ("parameter", "given >", "fitted >", f"{interval} >", "from blocks of rows >")
+        columns = ("parameter", "given >", "fitted >", f"{interval} >", "with what the model lacks >")
         return [grid(columns, cells, key=True), *super().below()]
 
     def save(self, directory: Path) -> list[Path]:
@@ -346,7 +343,7 @@ class EffectsReport(Report[Comparison]):
 def _expected(p: Placement) -> list[dict[str, Any]]:
     rows = zip(p.parameters, p.units, p.standard_errors.tolist(), p.random.tolist(), strict=True)
     return [
-        {"name": name} | with_unit(SUFFIXES[unit], {"standard_error": error, "at_random": random})
+        {"name": name} | with_unit(DEVIATIONS[unit], {"standard_error": error, "at_random": random})
         for name, unit, error, random in rows
     ]
 
@@ -385,7 +382,7 @@ class PlacementReport(Report[Placement]):
         p = self.answer
         cells = []
         for name, unit, error, random in zip(p.parameters, p.units, p.standard_errors, p.random, strict=True):
-            suffix = SUFFIXES[unit]
+            suffix = DEVIATIONS[unit]
             sign = SIGNS.get(suffix, suffix)
             shown = (f"{in_units(float(x), suffix):.3g} {sign}".strip() for x in (error, random))
             cells.append((name, *shown, f"{random / error:.1f}"))

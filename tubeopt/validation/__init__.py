@@ -1,6 +1,7 @@
 """Comparison of the model with measured tips: registration of frames, errors, and effects that explain them."""
 
 from ..bodies.frames import RegistrationError
+from .certainty import RealRobots, Uncertainty, real_robots, uncertainty
 from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_errors, validate
 from .effects import EFFECTS, KINDS, PER_RECORDING
 from .fitting import Estimate, Fit, FitOptions, fit
@@ -31,9 +32,11 @@ __all__ = [
     "Parameter",
     "Parity",
     "Placement",
+    "RealRobots",
     "Registration",
     "RegistrationError",
     "SelectionStep",
+    "Uncertainty",
     "Validation",
     "choose_parameters",
     "compare_effects",
@@ -41,7 +44,9 @@ __all__ = [
     "estimate_forces",
     "fit",
     "group_errors",
+    "real_robots",
     "register",
+    "uncertainty",
     "validate",
     "where_to_measure",
 ]

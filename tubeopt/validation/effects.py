@@ -85,8 +85,7 @@ class Setup:
             friction=torque,
             clearance=clearance,
             **dimensions,
-            dead_length=np.zeros(len(tubes)),
-            fade=np.zeros(len(tubes)),
+            **heated_shapes(tubes),
             piece_curvature=np.zeros(len(pieces)),
             **{name: np.array(getattr(drives, name)) for name in MOUNTS},
             transmission=extra,
@@ -143,10 +142,13 @@ class Setup:
         if kb != first.bending_stiffness[k] or kt != first.torsional_stiffness[k]:
             changed |= {"bending_stiffness": kb, "torsional_stiffness": kt}
         dead, fade = float(self.dead_length[k]), float(self.fade[k])
-        if (dead or fade) and not tube.pieces:
-            pieces = heated_pieces(changed["curved_length"], changed["curvature"], dead, fade)
+        given = dead == first.dead_length[k] and fade == first.fade[k]
+        if not given and (not tube.pieces or heated_shape(tube)):
+            bend = changed["curvature"] * (np.sign(bend_of(tube.pieces)) if tube.pieces else 1.0)
+            pieces = heated_pieces(changed["curved_length"], bend, dead, fade)
             changed |= {"pieces": pieces, "curvature": max(piece.largest_curvature for piece in pieces)}
             changed["curved_length"] = math.fsum(piece.length for piece in pieces)
+            return replace(tube, **changed)
         return replace(tube, **changed | self._pieces(tube, k, first))
 
     def _pieces(self, tube: Tube, k: int, first: Setup) -> dict[str, Any]:
@@ -179,6 +181,9 @@ MOUNTS = ("plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
 # 0.095 mm with two, 0.043 mm with three.
 RAMP_JUMPS = 3
 
+# Lengths of pieces closer than this, m, are one: far below any dead length, far above round-off.
+SAME_LENGTH = 1e-9
+
 
 def heated_pieces(length: float, curvature: float, dead: float, fade: float) -> tuple[Piece, ...]:
     """Pieces of a curved part with straight ends of length `dead` and linear ramps of length `fade` next to them, m.
@@ -200,6 +205,37 @@ def heated_pieces(length: float, curvature: float, dead: float, fade: float) -> 
     jumps = np.concatenate([[0.0], weights / 2, -weights[::-1] / 2])
     arcs = zip(np.diff(places).tolist(), (curvature * np.cumsum(jumps)).round(12).tolist(), strict=True)
     return tuple(Piece(part, bent) for part, bent in arcs if part > 0)
+
+
+def heated_shape(tube: Tube) -> tuple[float, float] | None:
+    """Dead length and fade, m, of a tube made of the pieces of `heated_pieces`; None for other tubes."""
+    pieces, x = tube.pieces, np.polynomial.legendre.leggauss(RAMP_JUMPS)[0]
+    if len(pieces) not in (3, 2 * RAMP_JUMPS + 1):
+        return None
+    fade = 0.0 if len(pieces) == 3 else 2 * math.fsum(piece.length for piece in pieces[1:RAMP_JUMPS]) / (x[-1] - x[0])
+    dead = max(0.0, pieces[0].length - fade * (1 + x[0]) / 2)
+    try:
+        again = heated_pieces(tube.curved_length, bend_of(pieces), dead, fade)
+    except InputError:
+        return None
+    alike = len(again) == len(pieces) and all(
+        replace(a, length=b.length, precurvature=b.precurvature) == b
+        and np.allclose([a.length, bend_of([a])], [b.length, bend_of([b])], rtol=1e-9, atol=SAME_LENGTH)
+        for a, b in zip(again, pieces, strict=True)
+    )
+    return (float(dead), float(fade)) if alike else None
+
+
+def bend_of(pieces: Sequence[Piece]) -> float:
+    """Precurvature of the middle piece about x, 1/m; NaN if it varies or has another direction."""
+    x, *others = pieces[len(pieces) // 2].precurvature
+    return float(x) if isinstance(x, float) and not any(others) else math.nan
+
+
+def heated_shapes(tubes: Sequence[Tube]) -> dict[str, Array]:
+    """Dead lengths and fades (m,) of tubes, 0 of tubes without."""
+    shapes = [(heated_shape(tube) if tube.pieces else None) or (0.0, 0.0) for tube in tubes]
+    return dict(zip(("dead_length", "fade"), np.array(shapes).T, strict=True))
 
 
 def _between(robot: Robot) -> tuple[Array, Array]:
@@ -396,7 +432,8 @@ def _translation_span(context: Context, index: int | None) -> Span:
 
 def _furthest(context: Context, tube: int) -> float:
     """Largest translation of a tube in the recording by the model, m."""
-    drives, measured = context.setup.drives, max(m.translations[:, tube].max() for m in context.recordings)
+    drives = context.setup.drives
+    measured = max((m.translations[:, tube].max() for m in context.recordings), default=0.0)
     return float(drives.translation_gains[tube] * measured + drives.translation_offsets[tube])
 
 
@@ -448,12 +485,13 @@ def _no_curve(context: Context, index: int | None) -> str:
     return "" if context.setup.curved_length[index] > 0 else f"tube {index + 1} has no curved part"
 
 
-def _shape_span(start: float) -> Range:
+def _shape_span(name: str, start: float) -> Range:
     """Range of a length of the heated shape; `start` is a fraction of the curved length."""
 
     def span(context: Context, index: int | None) -> Span:
+        known = float(getattr(context.setup, name)[index or 0])
         length = float(context.setup.curved_length[index or 0])
-        return Span(start * length, 0.0, 0.24 * length, context.length / 10, 3e-3)
+        return Span(known or start * length, 0.0, max(known, 0.24 * length), context.length / 10, 3e-3)
 
     return span
 
@@ -461,8 +499,9 @@ def _shape_span(start: float) -> Range:
 def _no_arc(context: Context, index: int | None) -> str:
     if not isinstance(context.robot, ConcentricRobot):
         return "it is of concentric robots only"
-    pieces = context.robot.tubes[index or 0].pieces
-    return f"tube {(index or 0) + 1} is a chain of pieces" if pieces else _no_curve(context, index)
+    tube = context.robot.tubes[index or 0]
+    other = bool(tube.pieces) and heated_shape(tube) is None
+    return f"tube {(index or 0) + 1} is a chain of pieces" if other else _no_curve(context, index)
 
 
 def _clearance_span(context: Context, index: int | None) -> Span:
@@ -558,12 +597,12 @@ EFFECTS: dict[str, Effect] = {
     ),
     "dead_length": Effect(
         "straight length at either end of the curved part of tube I", "m", "kind",
-        _shape_span(0.0), _put("dead_length"), compared="asked", idle=_no_arc,
+        _shape_span("dead_length", 0.0), _put("dead_length"), compared="asked", idle=_no_arc,
     ),
     # With little fade only the sum of dead length and half the fade is seen, so that it begins with some.
     "fade": Effect(
         "length over which the precurvature of tube I rises and falls at the ends of its curved part", "m", "kind",
-        _shape_span(0.1), _put("fade"), compared="asked", idle=_no_arc,
+        _shape_span("fade", 0.1), _put("fade"), compared="asked", idle=_no_arc,
     ),
     "bending_stiffness": Effect(
         "factor on the bending stiffness EI of tube I, GJ kept", "", "kind",

@@ -4,8 +4,8 @@
 
 where h_v is what the device should see: positions of stations along the arm and the direction of its tip.
 
-The least squares are those of `solvers.robust_least_squares`. Errors held out and bootstrap intervals take the slopes
-of the fit to all rows, so that they need few solves or none.
+The least squares are those of `solvers.robust_least_squares`. Errors held out take the slopes of the fit to all rows,
+so that they need few solves or none. Intervals are those of independent errors, and those of `posterior`.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from ..arguments import typed
 from ..display import Displayed
 from ..errors import InputError, SolveError, choice, finite, positive
 from ..files.field_metadata import OneOf, check_fields, form, key, unit
+from ..robots.calibration import Posterior
 from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.robust_least_squares import (
@@ -38,7 +39,6 @@ from ..solvers.robust_least_squares import (
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress, StatusEnum
 from .comparison import (
-    BLOCKS,
     ErrorSummary,
     Validation,
     check_registration,
@@ -54,6 +54,7 @@ from .identifiability import doubts, entangled_history, least_certain, left_out,
 from .measurements import Measurements, recordings_of
 from .model import ParameterState
 from .parameters import Parameter, choose_parameters
+from .posterior import posterior_of
 from .registration import FIRST_GUESS, FREEDOMS, SENSOR_FRAME, BasePose
 from .sessions import Registrations, Sessions
 
@@ -69,9 +70,6 @@ BY_CHORDS = LeastSquaresSolver(iterations=8, settled=NEARLY_SETTLED)
 # Length of an error of three coordinates, in standard deviations of one, from which a robust loss grows like it and no
 # longer like its square. Of normal errors 3 % are longer.
 ROBUST_FROM = 3.0
-
-# Draws of blocks of rows that intervals are computed from: their standard deviation is known to 4 %.
-DRAWS = 400
 
 
 def hold_out(
@@ -140,31 +138,6 @@ def predicted_held_out(
     return out
 
 
-def bootstrap_errors(
-    model: Sessions, weights: Weights, fit: RobustDescent[ParameterState[Registrations]], block: Index
-) -> Array:
-    """(P,) bootstrap standard errors: blocks of rows are drawn with replacement; (N,) is the block of each row.
-
-    Each draw is refitted to first order (one Gauss-Newton step from the fit), so that nothing is solved.
-    """
-    block_of_row, w = block[model.row], weights.of(fit.residuals)
-    labels = np.unique(block_of_row)
-    parts = [
-        weighted_sums(fit.jacobian[block_of_row == k], fit.residuals[block_of_row == k], w[block_of_row == k])
-        for k in labels
-    ]
-    squares, slopes = np.array([a for a, _ in parts]), np.array([b for _, b in parts])
-    equations = normal_equations(model, weights, fit.state, fit.residuals, fit.jacobian)
-    # What is of no row: priors count once in every draw.
-    prior = equations[0] - squares.sum(0), equations[1] - slopes.sum(0)
-    # Drawing blocks with replacement only changes how often each counts.
-    draw = np.random.default_rng(1).multinomial(len(labels), np.full(len(labels), 1 / len(labels)), DRAWS)
-    steps = [solved(np.tensordot(n, squares, 1) + prior[0], np.tensordot(n, slopes, 1) + prior[1]) for n in draw]
-    # A bootstrap of n blocks has a variance that is (n - 1) / n of the true one.
-    spread = np.std(steps, axis=0, ddof=1) * np.sqrt(len(labels) / (len(labels) - 1))
-    return np.asarray(spread[: len(fit.state.x)])
-
-
 # Relative change of the estimated noise at which it has settled: from n numbers it is known to 1 / sqrt(2 n), 2 % of
 # 1250. Noise changes the weights of positions against directions, and those the fit a little: a few rounds suffice.
 SAME_NOISE, NOISE_ROUNDS = 0.02, 6
@@ -228,10 +201,10 @@ class Estimate:
     high: float
     held: bool
     """True if the data do not determine it: its value is the start, and its interval is infinite."""
-    block_error: float
-    """Standard error from blocks of rows drawn again; trust it if it is larger. The next two are its interval."""
-    block_low: float
-    block_high: float
+    posterior_error: float
+    """Standard error that counts what the model lacks, see `validation.posterior`. The next two are its interval."""
+    posterior_low: float
+    posterior_high: float
 
 
 class FitStatus(StatusEnum):
@@ -273,6 +246,8 @@ class Fit(Displayed):
     """
     fold: Index | None
     """(N,) fold of each row, None without folds."""
+    held_out_inside: Annotated[float | None, "fraction of held-out coordinates within their interval"]
+    """Of coordinates of positions, with the intervals of `confidence` of parameters, misfit and noise."""
     held_out_recordings: Array | None
     """(N,) tip errors with the common parameters fitted to the other recordings, and what a recording has of its own to
     its other folds, m; None of one recording, or without folds."""
@@ -504,31 +479,36 @@ class FitProblem:
         for error in known:
             check_registration(error, model.method)
         errors, correlation = self._spread()
-        block = model.blocks(BLOCKS)
-        blocked = np.full(len(self.chosen), np.inf)
+        posterior, full, inside = None, np.full(len(self.chosen), np.inf), None
         if self.free:
-            blocked[self.free] = bootstrap_errors(model, self.weights(), self.fit, block)
+            per_recording, noise = options.per_recording, options.noise[0]
+            full_fit = posterior_of(model, self.fit, self.weights(), self.chosen, per_recording, noise)
+            posterior, full[self.free] = full_fit.posterior, full_fit.errors
         fold = model.fold(options.folds) if options.folds else None
         along, axis, elsewhere = None, None, None
         if fold is not None:
-            along, axis = distances(model, hold_out(model, self.weights(), self.fit, fold))
+            left_over = hold_out(model, self.weights(), self.fit, fold)
+            along, axis = distances(model, left_over)
+            if self.free:
+                wide = scipy.special.ndtri((1 + options.confidence) / 2) * full_fit.bands
+                inside = float((np.abs(left_over) < wide)[~model.directed].mean())
             if len(model.models) > 1:
                 elsewhere, _ = distances(model, hold_out_recordings(model, self.weights(), self.fit, fold))
         report(3, 4)
         # A direction is three numbers with two degrees of freedom.
         degrees = max(1, 3 * len(model.row) - int(model.directed.sum()) - len(self.free) - model.freedoms)
         half = scipy.special.stdtrit(degrees, (1 + options.confidence) / 2) * errors
-        wide = scipy.special.stdtrit(max(1, len(np.unique(block)) - 1), (1 + options.confidence) / 2) * blocked
+        wide = scipy.special.ndtri((1 + options.confidence) / 2) * full
         compared = []
         for k, error in enumerate(known):
-            comparison = validate(self._calibrated(k), model.recordings[k])
+            comparison = validate(self._calibrated(k, posterior), model.recordings[k])
             registration = replace(comparison.registration, method=model.method)
             compared.append(replace(comparison, registration=registration, registration_error=error))
         after = join(compared)
         starts = zip(model.models, model.parts(model.start), strict=True)
         return Fit(
             robot=after.robot,
-            estimates=_estimates(self.chosen, self.values, (errors, half), (blocked, wide)),
+            estimates=_estimates(self.chosen, self.values, (errors, half), (full, wide)),
             correlation=correlation,
             confidence=options.confidence,
             noise=self.sigma[0],
@@ -538,12 +518,13 @@ class FitProblem:
             held_out_errors=None if along is None else along[:, 0],
             held_out_axis_errors=axis,
             fold=fold,
+            held_out_inside=inside,
             held_out_recordings=None if elsewhere is None else elsewhere[:, 0],
             remarks=(*after.remarks, *self.remarks, *self._doubts(half, correlation)),
             evaluations=model.evaluations,
         )
 
-    def _calibrated(self, k: int) -> Robot:
+    def _calibrated(self, k: int, posterior: Posterior | None) -> Robot:
         """Robot with all fitted numbers, including those of recording k in its calibration."""
         model, state = self.model.models[k], self.model.part(self.fit.state, k)
         measurements = model.measurements
@@ -552,7 +533,7 @@ class FitProblem:
         setup.drives = replace(setup.drives, registration=state.registration.saved(measurements.mark))
         if measurements.orientation is not None and model.axis is not None:
             setup.drives = replace(setup.drives, sensor_axis=tuple(model.axis.tolist()))
-        return setup.robot(model.robot, found_by)
+        return replace(setup.robot(model.robot, found_by), posterior=posterior)
 
     def _spread(self) -> tuple[Array, Array]:
         """Standard errors (P,) and correlation (P, P) of the parameters; infinite and NaN for fixed ones."""
@@ -587,7 +568,7 @@ class FitProblem:
 
 
 def _estimates(
-    parameters: Sequence[Parameter], values: Array, errors: tuple[Array, Array], blocks: tuple[Array, Array]
+    parameters: Sequence[Parameter], values: Array, errors: tuple[Array, Array], full: tuple[Array, Array]
 ) -> tuple[Estimate, ...]:
     return tuple(
         Estimate(
@@ -599,9 +580,9 @@ def _estimates(
             low=float(values[k] - errors[1][k]),
             high=float(values[k] + errors[1][k]),
             held=bool(np.isinf(errors[0][k])),
-            block_error=float(blocks[0][k]),
-            block_low=float(values[k] - blocks[1][k]),
-            block_high=float(values[k] + blocks[1][k]),
+            posterior_error=float(full[0][k]),
+            posterior_low=float(values[k] - full[1][k]),
+            posterior_high=float(values[k] + full[1][k]),
         )
         for k, p in enumerate(parameters)
     )

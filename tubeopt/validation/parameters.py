@@ -64,13 +64,13 @@ def choose_parameters(
     """
     if isinstance(names, str) or not len(names):
         raise InputError(f"no parameters are given; choose from {', '.join(KINDS)}")
-    recordings = recordings_of(measurements)
+    recordings = () if isinstance(measurements, tuple) and not measurements else recordings_of(measurements)
     context = Context(robot, recordings, Setup.of(robot))
     chosen = [_parameter(context, name, registration) for spelling in names for name in _spelled_out(context, spelling)]
     for k, parameter in enumerate(chosen):
         for earlier in chosen[:k]:
             _contradict(earlier, parameter)
-    if len(recordings) == 1:
+    if len(recordings) <= 1:
         return tuple(chosen)
     out: list[Parameter] = []
     for common in chosen:
@@ -182,7 +182,7 @@ def lacking(recordings: Sequence[Measurements], effect: Effect, registration: st
     """Data that the estimate of an effect needs and that are missing, as text; "" if there are none."""
     if effect.needs in ("time", "way") and any(m.time is None for m in recordings):
         return "needs the time of every row; the measurements have no column time_s"
-    if effect.needs == "orientation" and all(m.orientation is None for m in recordings):
+    if effect.needs == "orientation" and recordings and all(m.orientation is None for m in recordings):
         return "needs the direction of the tip's sensor; the measurements have none"
     if effect.needs == "plate" and registration in FITS_PLATE:
         return f"is part of the registration, which is {registration!r}; it is for none and base-axis"

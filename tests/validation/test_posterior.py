@@ -1,0 +1,235 @@
+"""Posterior of a fitted robot: intervals that hold for incomplete models, and bounds on the real robot."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy
+from scipy.spatial.transform import Rotation
+
+from tubeopt import ConcentricRobot, InputError, Tube, forward_kinematics, load_robot
+from tubeopt.cli.app import main
+from tubeopt.robots.calibration import Posterior
+from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty
+from tubeopt.validation.certainty import certificate_bounds
+from tubeopt.validation.effects import Setup, heated_pieces, heated_shape
+from tubeopt.validation.measurements import Timeline
+from tubeopt.validation.model import solve_poses
+from tubeopt.validation.posterior import Places, estimate_misfit
+
+from .drives import RATE, joints, robot, trivial
+from .laboratory import MM
+
+NOISE, ROWS = 0.3 * MM, 150
+NAMES = ["latency", "rotation_2", "translation_1", "translation_2", "curvature_1", "curvature_2"]
+
+
+def recorded(seed: int, *, poses: bool = False) -> tuple[dict[str, float], Measurements]:
+    """Values that a fit estimates, and a recording of a robot whose heated parts fade, which no fit here knows."""
+    random = np.random.default_rng(seed)
+    shift = random.normal(0, 2 * MM, 2)
+    truth = {
+        "latency": random.uniform(0.03, 0.1), "rotation_2": random.uniform(-0.1, 0.1),
+        "translation_1": shift[0], "translation_2": shift[1],
+        "curvature_1": random.uniform(8.2, 9.8), "curvature_2": random.uniform(4.5, 5.5),
+    }  # fmt: skip
+    setup = Setup.of(robot())
+    setup.curvature[:] = truth["curvature_1"], truth["curvature_2"]
+    setup.fade[:] = random.uniform(0, 10 * MM, 2)
+    setup.drives = trivial(
+        rotation_offsets=(0.0, truth["rotation_2"]), translation_offsets=tuple(shift), latency=truth["latency"]
+    )
+    time = np.arange(ROWS) / RATE
+    read = joints(time, time[-1]) - [0.0, 0.0, 30 * MM, 7 * MM]
+    rows = Measurements(read[:, :2], read[:, 2:], np.zeros((ROWS, 3)), time=time, source="a way")
+    result = solve_poses(setup.robot(robot()), *Timeline.of(rows).driven(setup.drives, np.zeros(2)), np.zeros(1))
+    turn, base = Rotation.random(rng=random).as_matrix(), random.uniform(-0.2, 0.2, 3)
+    tips = result.position[:, 0] @ turn.T + base + random.normal(0, NOISE, (ROWS, 3))
+    wobble = Rotation.from_rotvec(random.normal(0, 0.01, (ROWS, 3))).as_matrix()
+    return truth, replace(rows, sensors=tips, orientation=turn @ result.frame @ wobble if poses else None)
+
+
+@cache
+def fitted(seed: int, *, poses: bool = False) -> tuple[dict[str, float], Fit]:
+    """Values of a truth, and the fit to its recording."""
+    truth, rows = recorded(seed, poses=poses)
+    return truth, fit(robot(), rows, NAMES, FitOptions(folds=5 if seed == 0 else 0))
+
+
+def test_intervals_hold_though_the_heated_parts_fade() -> None:
+    """Ten truths; the shape of the heated part, which is not fitted, moves lengths and curvatures off theirs."""
+    alone, full = [], []
+    for seed in range(10):
+        truth, found = fitted(seed)
+        alone += [e.low <= truth[e.name] <= e.high for e in found.estimates]
+        full += [e.posterior_low <= truth[e.name] <= e.posterior_high for e in found.estimates]
+    assert np.mean(alone) < 0.86
+    assert np.mean(full) > 0.92
+
+
+def test_tips_and_poses_of_the_same_rows_agree() -> None:
+    """Intervals for independent errors exclude each other, those of the posterior overlap."""
+    apart = 0
+    for seed in range(3):
+        (_, tips), (_, poses) = fitted(seed), fitted(seed, poses=True)
+        for a, b in zip(tips.estimates, poses.estimates, strict=True):
+            apart += a.high < b.low or b.high < a.low
+            assert abs(a.value - b.value) < 2.5 * np.hypot(a.posterior_error, b.posterior_error), a.name
+    assert apart >= 3
+
+
+def test_held_out_tips_are_within_their_bands() -> None:
+    _, found = fitted(0)
+    assert found.held_out_inside is not None
+    assert 0.92 <= found.held_out_inside <= 0.98
+    posterior = found.robot.posterior
+    assert posterior is not None
+    assert posterior.noise == pytest.approx(NOISE, rel=0.1)
+    assert {"dead_length_1", "curved_length_2", "plate_yaw"} <= set(posterior.names)
+    assert "rotation_1" not in posterior.names
+
+
+def test_sizes_and_ranges_of_a_misfit_are_found() -> None:
+    """Draws of a random function of joint values, and of one of time, beside white noise."""
+    random, n = np.random.default_rng(3), 300
+    time = np.arange(n) / RATE
+    at = Places(np.column_stack([3 * np.sin(0.21 * time), 3 * np.cos(0.34 * time)]), time, np.zeros(n, int), True)
+    slopes = random.normal(size=(n, 3, 2))
+
+    def drawn(distance: np.ndarray) -> np.ndarray:
+        return np.linalg.cholesky(np.exp(-(distance**2) / 2) + 1e-9 * np.eye(n)) @ random.normal(size=(n, 3))
+
+    apart = scipy.spatial.distance.cdist(at.joints, at.joints)
+    found = estimate_misfit(at, 2 * drawn(apart) + 0.5 * random.normal(size=(n, 3)), slopes)
+    assert found.noise == pytest.approx(0.5, rel=0.1)
+    assert found.smooth == pytest.approx(2.0, rel=0.4)
+    assert found.drift < 0.5
+    white = estimate_misfit(at, random.normal(size=(n, 3)), slopes)
+    assert white.size < 0.3
+    assert white.noise == pytest.approx(1.0, rel=0.1)
+
+
+# --- bounds on the real robot -----------------------------------------------------------------------------------------
+
+
+def uncertain(names: list[str], units: list[str], deviations: list[float], misfit: float = 0.0) -> ConcentricRobot:
+    """Two tubes that can snap, with independent deviations."""
+    tubes = (
+        Tube(1.0 * MM, 0.8 * MM, 60 * MM, 110 * MM, 16.0),
+        Tube(1.3 * MM, 1.05 * MM, 50 * MM, 70 * MM, 14.0),
+    )
+    posterior = Posterior.of(names, units, np.diag(np.square(deviations)), misfit, NOISE)
+    return ConcentricRobot(tubes, posterior=posterior)
+
+
+MANY = uncertain(
+    ["rotation_2", "translation_1", "curvature_1", "curved_length_2", "torsional_stiffness_1", "dead_length_1"],
+    ["rad", "m", "1/m", "m", "", "m"],
+    [0.03, 0.5 * MM, 0.2, 1 * MM, 0.05, 0.2 * MM],
+)
+
+
+def test_the_robot_without_deviations_is_the_calibrated_one() -> None:
+    reals = real_robots(MANY)
+    assert reals is not None
+    still = reals.at(np.zeros(reals.size), np.array([0.2, 1.0]), np.array([-5 * MM, -8 * MM]))
+    assert still.robot.tubes == MANY.tubes
+    np.testing.assert_allclose(still.rotations, [0.2, 1.0], atol=1e-15)
+    assert real_robots(replace(MANY, posterior=None)) is None
+    with pytest.raises(InputError, match="no posterior"):
+        uncertainty(forward_kinematics(replace(MANY, posterior=None), [0.0, 0.0]))
+
+
+def test_slopes_are_those_of_robots_that_differ() -> None:
+    reals = real_robots(MANY)
+    assert reals is not None
+    joint_values = np.array([0.2, 1.0]), np.array([-5 * MM, -8 * MM])
+    e, step = forward_kinematics(MANY, *joint_values), 0.02
+    slopes = reals.slopes(e, np.zeros(reals.size), joint_values)
+    for k, unit in enumerate(np.eye(reals.size)):
+        if abs(reals.factor[-1, k]) > 1e-9:  # a dead length has one side only
+            continue
+        ahead, behind = (forward_kinematics(*reals.at(side * step * unit, *joint_values)) for side in (1, -1))
+        change = (ahead.tip_position - behind.tip_position) / (2 * step)
+        np.testing.assert_allclose(slopes.tip[:, k], change, atol=1e-4 * np.abs(slopes.tip).max())
+        assert slopes.margin[k] == pytest.approx((ahead.margin - behind.margin) / (2 * step), abs=1e-4)
+
+
+def test_bounds_hold_for_as_many_drawn_robots_as_told() -> None:
+    """Bounds of 95 % on margin and tip against 400 robots; they are first order, hence the width."""
+    robot_of = uncertain(
+        ["rotation_2", "curvature_1", "torsional_stiffness_1", "translation_2"], ["rad", "1/m", "", "m"],
+        [0.04, 0.4, 0.04, 0.4 * MM], misfit=0.2 * MM,
+    )  # fmt: skip
+    reals, joint_values = real_robots(robot_of), (np.array([0.0, 3.0]), np.array([-5 * MM, -8 * MM]))
+    assert reals is not None
+    e = forward_kinematics(robot_of, *joint_values)
+    told = uncertainty(e)
+    assert told.margin[1] < told.margin[0] < e.margin
+    assert told.snap_distance[1] < told.snap_distance[0] < e.snap_distance
+    random = np.random.default_rng(0)
+    drawn = [forward_kinematics(*reals.at(z, *joint_values)) for z in random.normal(size=(400, reals.size))]
+    margins = np.array([each.margin for each in drawn])
+    assert 0.02 <= (margins < told.margin[0]).mean() <= 0.09
+    assert (margins < told.margin[1]).mean() <= 0.01
+    turns = np.array([each.snap_distance for each in drawn])
+    assert 0.02 <= (turns < told.snap_distance[0]).mean() <= 0.09
+    off = np.array([each.tip_position for each in drawn]) - e.tip_position + random.normal(0, 0.2 * MM, (400, 3))
+    inside = (np.abs(off) < told.tip_half_widths[0]).mean()
+    assert 0.92 <= inside <= 0.98
+    assert (np.linalg.norm(off, axis=1) < told.tip_radius[0]).mean() >= 0.95
+    with pytest.raises(InputError, match=r"probability is 0.3"):
+        uncertainty(e, (0.3,))
+
+
+def test_certificates_of_tubes_that_may_be_more_curved() -> None:
+    """One parameter: the bound is the certificate of the tube with as much more curvature."""
+    given = uncertain(["curvature_1"], ["1/m"], [0.3])
+    bounds = certificate_bounds(given, lambda real, shift: -real.tubes[0].curvature, np.zeros(2))
+    np.testing.assert_allclose(bounds, -16.0 - 0.3 * scipy.special.ndtri([0.95, 0.999]))  # type: ignore[arg-type]
+
+
+def test_heated_tubes_are_known_again(tmp_path: Path) -> None:
+    tube = robot().tubes[0]
+    for dead, fade in ((0.0, 8 * MM), (2 * MM, 0.0), (2 * MM, 5 * MM)):
+        for bend in (9.123456789, -4.1):
+            pieces = heated_pieces(tube.curved_length, bend, dead, fade)
+            made = Tube.of_pieces(tube.outer_diameter, tube.inner_diameter, pieces, straight_length=0.1)
+            assert heated_shape(made) == pytest.approx((dead, fade), abs=1e-12)
+    other = Tube.of_pieces(tube.outer_diameter, tube.inner_diameter, pieces[:4], straight_length=0.1)
+    assert heated_shape(other) is None
+
+
+def test_the_posterior_is_saved_and_read_by_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "robot.yaml"
+    MANY.save(path)
+    assert load_robot(path) == MANY
+    for command in (["fk", "--rotations-deg", "0,175"], ["certify"]):
+        with pytest.raises(SystemExit) as end:
+            main([command[0], str(path), *command[1:], "--json"])
+        assert end.value.code in (0, 3)
+        record = json.loads(capsys.readouterr().out)
+        if command[0] == "fk":
+            assert record["real_margin"][1] <= record["real_margin"][0] < record["margin"]
+            assert record["real_tip_radius_mm"][1] > record["real_tip_radius_mm"][0] > 0
+        else:
+            assert record["real_certificate"][1] < record["real_certificate"][0] < record["certificate"]
+    text = path.read_text().replace("curvature_1", "curvture_1")
+    path.write_text(text)
+    with pytest.raises(SystemExit) as end:
+        main(["fk", str(path)])
+    assert end.value.code == 2
+    assert "curvture_1" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("table", [((1.0,),), ((1.0, 0.3), (0.2, 1.0)), ((1.0, 2.0), (2.0, 1.0))])
+def test_correlations_that_are_none_are_refused(table: tuple[tuple[float, ...], ...]) -> None:
+    two = uncertain(["rotation_2", "curvature_1"], ["rad", "1/m"], [0.1, 0.1]).posterior
+    assert two is not None
+    with pytest.raises(InputError, match="correlations must be"):
+        replace(two, correlations=table)

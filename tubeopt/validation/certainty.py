@@ -1,0 +1,303 @@
+"""What holds for the real robot with a probability, from the posterior of a calibrated one.
+
+Parameters are x = start + F z with independent standard normal numbers z, cut at their bounds. At the same readings of
+the drives each z is another robot at other joint values.
+
+- The tip is linear in z to first order; its covariance is that of its exact derivatives, and of the misfit.
+- A number Q that must not be small (a margin, a snap distance, a certificate) is bounded by the first-order reliability
+  method (Hasofer and Lind, J. Eng. Mech. Div. 100 (1974); iterated as by Wu, Millwater and Cruse, AIAA J. 28 (1990)):
+  of all z with |z| <= b the one with the least Q is solved for, and its Q is the bound, P = Phi(b). That is exact if Q
+  is any falling function of one combination of the z, as steep as it may be, and an estimate otherwise. It is no proof.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Annotated, NamedTuple
+
+import numpy as np
+import scipy
+
+from ..arguments import typed
+from ..display import Displayed
+from ..equilibrium.directions import PARAMETERS
+from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.result import Equilibrium
+from ..errors import InputError, SolveError, without_unit_warnings
+from ..files.field_metadata import form, unit
+from ..physics.shape import hat
+from ..robots.assembly import DIMENSIONS, dimensions_of
+from ..robots.calibration import Calibration
+from ..robots.robot import Robot
+from ..stability import snap_distance
+from ..typing import Array
+from .effects import MOUNTS, Setup
+from .parameters import Parameter, apply, choose_parameters
+from .posterior import PLATE
+
+PROBABILITIES = (0.95, 0.999)
+"""Probabilities of the bounds."""
+
+# Kinds that change no equilibrium without history.
+WITHOUT_SHAPE = (*MOUNTS, "clearance", "translation_compliance")
+
+# Kinds that change a tube otherwise than by its dimensions.
+RESHAPED = ("dead_length", "fade", "piece_curvature")
+
+# Steps of differences, in standard deviations: of numbers of a robot, which are nearly linear, of equilibria, and of
+# quantities with kinks.
+SMALL, STEP, SECANT = 1e-3, 0.05, 0.5
+
+# Steps of the search for the least margin; later ones change its third digit.
+SEARCH = 4
+
+
+class Real(NamedTuple):
+    """A robot that the real one may be, at the readings of given joint values."""
+
+    robot: Robot
+    rotations: Array
+    translations: Array
+
+
+class Slopes(NamedTuple):
+    """Derivatives of an equilibrium by the K independent numbers."""
+
+    tip: Array
+    """(3, K), m."""
+    margin: Array
+    """(K,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class RealRobots:
+    """Robots that the real one may be, of K independent standard normal numbers."""
+
+    robot: Robot
+    """The calibrated robot."""
+    parameters: tuple[Parameter, ...]
+    """Parameters (P,) that change its equilibria."""
+    factor: Array
+    """(P, K) deviations of the parameters by the independent numbers."""
+    plate: Array
+    """(6, K) turns (rad) and shifts (m) of the plate against its registration."""
+
+    @cached_property
+    def first(self) -> Setup:
+        """The robot as calibrated."""
+        return Setup.of(self.robot)
+
+    @property
+    def size(self) -> int:
+        """Number K."""
+        return int(self.factor.shape[1])
+
+    def values(self, z: Array) -> Array:
+        """(P,) values of the parameters."""
+        start, low, high = np.array([(p.start, p.low, p.high) for p in self.parameters]).reshape(-1, 3).T
+        return np.clip(start + self.factor @ z, low, high)
+
+    def at(self, z: Array, rotations: Array, translations: Array) -> Real:
+        """Robot of z (K,), at the readings of joint values (n,) of the calibrated one.
+
+        Raises:
+            InputError: there is no such robot.
+        """
+        return self._of(self.values(z), rotations, translations)
+
+    @without_unit_warnings()
+    def _of(self, values: Array, rotations: Array, translations: Array) -> Real:
+        none = Calibration.none(self.robot.n_tubes)
+        real = apply(self.first, self.parameters, values)
+        read = (self.robot.calibration or none).to_readings(rotations, translations)
+        return Real(real.robot(self.robot), *real.drives.to_model(*read))
+
+    def slopes(self, e: Equilibrium, z: Array, joints: tuple[Array, Array]) -> Slopes:
+        """Derivatives of the equilibrium of z; `joints` are joint values of the calibrated robot.
+
+        Raises:
+            InputError: friction acts on it.
+            SolveError: the equilibrium is a fold.
+        """
+        values = self.values(z)
+        # At coinciding breakpoints derivatives to either side differ: their mean is that of a change to both.
+        sides = [e.jacobian(wrt=PARAMETERS, side=side) for side in (1, -1)]
+        position = (sides[0].position + sides[1].position) / 2
+        margin = (sides[0].margin + sides[1].margin) / 2
+        tips, margins = np.zeros((3, len(values))), np.zeros(len(values))
+        for k, p in enumerate(self.parameters):
+            deviation = float(np.linalg.norm(self.factor[k])) or p.scale
+            differs = p.kind in RESHAPED or not np.isfinite(margin).all()
+            step = (STEP if differs else SMALL) * deviation
+            sides_of_p = [np.clip(values[k] + side * step, p.low, p.high) for side in (1, -1)]
+            reals = [self._of(np.where(np.arange(len(values)) == k, x, values), *joints) for x in sides_of_p]
+            width = sides_of_p[0] - sides_of_p[1]
+            if differs:
+                ahead, behind = (_equilibrium(real, e) for real in reals)
+                tips[:, k] = (ahead.tip_position - behind.tip_position) / width
+                margins[k] = (ahead.margin - behind.margin) / width
+            else:
+                ahead_numbers, behind_numbers = (_numbers(real) for real in reals)
+                change = (ahead_numbers - behind_numbers) / width
+                tips[:, k], margins[k] = position @ change, margin @ change
+        # In the frame of the registered plate the tip follows the true plate.
+        follows = np.concatenate([-hat(e.tip_position), np.eye(3)], axis=1)
+        return Slopes(tips @ self.factor + follows @ self.plate, margins @ self.factor)
+
+    def least(
+        self, quantity: Callable[[Real], float], joints: tuple[Array, Array], probabilities: Sequence[float]
+    ) -> Array:
+        """(len(probabilities),) bounds on a quantity, along its steepest descent.
+
+        Where a robot has no such quantity, or does not exist, it is 0.
+        """
+        still = np.zeros(self.size)
+
+        def value(z: Array) -> float:
+            try:
+                return quantity(self.at(z, *joints))
+            except (InputError, SolveError):
+                return 0.0
+
+        given = value(still)
+        descent = np.array([given - value(SECANT * row) for row in np.eye(self.size)])
+        # Infinite distances have no slope: the greatest loss is that of the robots that have none.
+        descent = np.nan_to_num(descent, nan=0.0, posinf=1e3, neginf=-1e3)
+        size = float(np.linalg.norm(descent))
+        if not size:
+            return np.full(len(probabilities), given)
+        return np.array([min(given, value(scipy.special.ndtri(p) * descent / size)) for p in probabilities])
+
+
+@lru_cache(maxsize=32)
+def real_robots(robot: Robot) -> RealRobots | None:
+    """Robots that the real one may be; None without a posterior.
+
+    Raises:
+        InputError: the posterior names unknown parameters.
+    """
+    if robot.posterior is None:
+        return None
+    posterior = robot.posterior
+    named = [name for name in posterior.names if name not in PLATE]
+    known = {p.name: p for p in choose_parameters(robot, (), named, "none")} if named else {}
+    own = tuple(p for p in known.values() if not (p.effect.history or p.kind in WITHOUT_SHAPE or p.idle))
+    place, rows = posterior.names.index, posterior.factor
+    factor = rows[[place(p.name) for p in own]]
+    plate = np.array([rows[place(name)] if name in posterior.names else np.zeros(len(rows)) for name in PLATE])
+    # As few independent numbers as there are parameters of these.
+    left, singular, _ = np.linalg.svd(np.concatenate([factor, plate]), full_matrices=False)
+    both = (left * singular)[:, singular > 0]
+    return RealRobots(robot, own, both[: len(own)], both[len(own) :])
+
+
+def _numbers(real: Real) -> Array:
+    """Joint values and dimensions of all tubes, in the order of `PARAMETERS`."""
+    dimensions = dimensions_of(real.robot.tubes)
+    return np.concatenate([real.rotations, real.translations, *(dimensions[name] for name in DIMENSIONS)])
+
+
+def _equilibrium(real: Real, near: Equilibrium) -> Equilibrium:
+    """Equilibrium of a robot on the branch of another one."""
+    return forward_kinematics(*real, load=near.load, start=near)
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty(Displayed):
+    """What holds for the real robot at one configuration; bounds are estimated to first order, not proved."""
+
+    probabilities: tuple[float, ...]
+    """Probabilities (Q,) of the bounds."""
+    tip_covariance: Array
+    """(3, 3) covariance of the tip about that of the calibrated robot, m^2, in the frame of the registered plate:
+    parameters, plate and misfit, without noise."""
+    tip_half_widths: Annotated[Array, unit("mm"), form(".2f"), "the tip is within this along x, y and z"]
+    """(Q, 3), m; for each axis on its own."""
+    tip_radius: Annotated[Array, unit("mm"), form(".2f"), "the tip is within this distance"]
+    """(Q,), m."""
+    margin: Annotated[Array, "the margin is at least this"]
+    """(Q,) margins, without friction; 0 where the robot may snap."""
+    snap_distance: Annotated[Array, unit("deg"), form(".1f"), "no turn of all tubes up to this snaps"]
+    """(Q,), rad; infinite where it is certified."""
+
+
+@typed
+def uncertainty(equilibrium: Equilibrium, probabilities: Sequence[float] = PROBABILITIES) -> Uncertainty:
+    """Bounds on tip, margin and snap distance of the real robot at the readings of a stable equilibrium.
+
+    Raises:
+        InputError: the robot has no posterior, the equilibrium is unstable or has friction, or a probability is not
+            between 0.5 and 1.
+    """
+    e, reals = equilibrium, real_robots(equilibrium.robot)
+    check_probabilities(probabilities)
+    if reals is None or e.robot.posterior is None:
+        raise InputError("the robot has no posterior; `tubeopt validate --fit` writes one into the robot file")
+    if not e.stable:
+        raise InputError("the equilibrium is unstable; the real robot will not be there")
+    joints, still = (e.rotations, e.translations), np.zeros(reals.size)
+    slopes = reals.slopes(e, still, joints)
+    covariance = slopes.tip @ slopes.tip.T + e.robot.posterior.misfit**2 * np.eye(3)
+    quantiles = scipy.special.ndtri((1 + np.array(probabilities)) / 2)
+    longest = np.sqrt(np.linalg.eigvalsh(covariance)[-1])
+    distances = np.full(len(probabilities), np.nan)
+    if e.load is None:
+        distances = reals.least(_snap_distance, joints, probabilities)
+    return Uncertainty(
+        tuple(probabilities),
+        covariance,
+        quantiles[:, None] * np.sqrt(np.diag(covariance)),
+        # A ball whose radius is that of the longest axis holds at least as much as the ellipsoid.
+        longest * np.sqrt(scipy.special.chdtri(3, 1 - np.array(probabilities))),
+        _least_margins(reals, e, slopes.margin, joints, probabilities),
+        distances,
+    )
+
+
+def check_probabilities(probabilities: Sequence[float]) -> None:
+    """Raise InputError for a probability that is not between 0.5 and 1."""
+    for p in probabilities:
+        if not 0.5 < p < 1:
+            raise InputError(f"a probability is {p:g}; it must lie between 0.5 and 1")
+
+
+def _snap_distance(real: Real) -> float:
+    e = forward_kinematics(*real)
+    return snap_distance(e).turn if e.stable else 0.0
+
+
+def _least_margins(
+    reals: RealRobots, e: Equilibrium, slope: Array, joints: tuple[Array, Array], probabilities: Sequence[float]
+) -> Array:
+    """Bounds on the margin, on the branch of the equilibrium; 0 where the branch ends."""
+    least, out = e.margin, []
+    for p in sorted(probabilities):
+        towards, at = np.zeros(reals.size), slope
+        for _ in range(SEARCH):
+            # Mean directions do not swing between two sides of a bend.
+            towards = towards - at / (np.linalg.norm(at) or 1.0)
+            z = scipy.special.ndtri(p) * towards / (np.linalg.norm(towards) or 1.0)
+            try:
+                near = _equilibrium(reals.at(z, *joints), e)
+                least = min(least, max(near.margin, 0.0))
+                if not near.stable:
+                    break
+                at = reals.slopes(near, z, joints).margin
+            except (InputError, SolveError):
+                least = 0.0
+        out.append(least)
+    return np.array(out)[np.argsort(np.argsort(probabilities))]
+
+
+def certificate_bounds(robot: Robot, certificate: Callable[[Robot, Array], float], translations: Array) -> Array | None:
+    """(2,) bounds at `PROBABILITIES` on a certificate of the real robot at translations (n,), m.
+
+    None without a posterior.
+    """
+    reals = real_robots(robot)
+    if reals is None:
+        return None
+    joints = np.zeros(robot.n_tubes), translations
+    return reals.least(lambda real: certificate(real.robot, real.translations), joints, PROBABILITIES)
