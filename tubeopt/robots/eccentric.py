@@ -22,8 +22,8 @@ from ..physics.buffer import STEEPEST, buffer_bend
 from ..physics.strain import surface_strain
 from ..typing import Array
 from .assembly import LENGTH_ROUND_OFF, Assembly, assemble
-from .concentric import Friction, check_friction
 from .calibration import Calibration, Posterior
+from .concentric import Friction, check_friction
 from .limits import JointLimits
 from .robot import Robot, keeps_hash
 from .tubes import Tube, must_be_plain

@@ -33,7 +33,6 @@ from ..solvers.robust_least_squares import (
     bounded_step,
     descend,
     normal_equations,
-    solved,
     weighted_sums,
 )
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
