@@ -207,7 +207,7 @@ class Deviation:
 
 @dataclass(frozen=True)
 class Posterior(Displayed):
-    """How far the real robot may be from its file, after a fit: normal deviations of its parameters.
+    """Normal deviations of the parameters of the real robot from its file, after a fit.
 
     Raises:
         InputError: correlations that are not those of the parameters.

@@ -1,4 +1,4 @@
-"""What holds for the real robot with a probability, from the posterior of a calibrated one.
+"""Bounds on the real robot with a probability, from the posterior of a calibrated one.
 
 Parameters are x = start + F z with independent standard normal numbers z, cut at their bounds. At the same readings of
 the drives each z is another robot at other joint values.
@@ -206,7 +206,7 @@ def _equilibrium(real: Real, near: Equilibrium) -> Equilibrium:
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty(Displayed):
-    """What holds for the real robot at one configuration; bounds are estimated to first order, not proved."""
+    """Bounds on the real robot at one configuration, estimated to first order, not proved."""
 
     probabilities: tuple[float, ...]
     """Probabilities (Q,) of the bounds."""

@@ -246,7 +246,7 @@ class Fit(Displayed):
     fold: Index | None
     """(N,) fold of each row, None without folds."""
     held_out_inside: Annotated[float | None, "fraction of held-out coordinates within their interval"]
-    """Of coordinates of positions, with the intervals of `confidence` of parameters, misfit and noise."""
+    """Positions only, with the intervals of `confidence` of parameters, misfit and noise."""
     held_out_recordings: Array | None
     """(N,) tip errors with the common parameters fitted to the other recordings, and what a recording has of its own to
     its other folds, m; None of one recording, or without folds."""

@@ -1,4 +1,4 @@
-"""How far the real robot may be from a fitted one: a covariance of parameters that counts what the model lacks.
+"""Covariance of the parameters of a fitted robot that counts what the model lacks.
 
 Three causes are added to the noise of the sensor.
 
