@@ -177,3 +177,22 @@ def test_missing_gymnasium_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "tubeopt.gym")
     with pytest.raises(InputError, match="gymnasium is missing"):
         __import__("tubeopt.gym")
+
+
+@pytest.mark.parametrize(("robot", "fields"), [("thesis_ctr", {"repeats": 5}), ("crl_ctr", {"randomisation": 0.05})])
+def test_side_by_side_robots_move_as_each_alone(robot: str, fields: dict[str, float]) -> None:
+    """Lanes of the kernel against the kernel of one robot; snaps included."""
+    together, alone = (CtrVectorEnv(robot, 40, turn=np.radians(8), **fields) for _ in range(2))
+    alone._arms._abreast = alone._goals._abreast = None
+    moved = 0
+    for many in (together, alone):
+        many.reset(seed=5)
+    assert together._arms._abreast is not None
+    for _ in range(6):
+        action = together.action_space.sample()
+        infos = [many.step(action)[4] for many in (together, alone)]
+        assert (infos[0]["snap"] == infos[1]["snap"]).all()
+        assert np.abs(together._arms.tips - alone._arms.tips).max() < 1e-12
+        assert np.abs(together.margins - alone.margins).max() < 1e-9
+        moved += int((together._arms._jobs[:, 3] > 0).sum())
+    assert moved > 100  # so many went side by side

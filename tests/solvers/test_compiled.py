@@ -263,7 +263,7 @@ def test_a_compiler_that_does_not_know_the_processor_is_told_once(
 def test_a_file_that_is_no_library_is_no_kernel(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     broken = tmp_path / "kernel.so"
     broken.write_bytes(b"")
-    monkeypatch.setattr(building, "kernel_path", lambda *_: broken)
+    monkeypatch.setattr(building, "kernel_path", lambda *_, **__: broken)
     assert building.library.__wrapped__(3, False) is None
 
 

@@ -169,7 +169,7 @@ static double turn_left(const Ball *ball, const tubeopt_joints *at) {
 /* Whether couplings, from which a snap distance follows, are found in the workspace: of what was solved last. */
 static int couple(tubeopt_memory *m) {
     Workspace *w = &m->work;
-    return !bears(m) && find_couplings(&w->fine, &w->state, &w->trial, w->matrix, &w->couplings);
+    return !bears(m) && find_couplings(&w->fine, &w->state, &w->trial, &w->chain, &w->couplings);
 }
 #endif
 
@@ -369,7 +369,7 @@ double tubeopt_snap_time(tubeopt_memory *m, double turn_rate, double shift_rate,
         Guess guess = guess_of(m->answers + m->here, NULL, m->joints.translations);
         int lacked = 0;
         double time = largest_motion(&ROBOT, m->joints.rotations, m->joints.translations, turn_rate, shift_rate, most, TURN_PRECISION, &guess,
-                                     &w->slides, &w->trial, w->matrix, &w->couplings, &lacked);
+                                     &w->slides, &w->trial, &w->chain, &w->couplings, &lacked);
         return lacked && !time ? -1 : time;
     }
 #endif

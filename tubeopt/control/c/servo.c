@@ -301,7 +301,7 @@ static int proves_way(tubeopt_memory *m, const tubeopt_joints *stop, const tubeo
             other |= !by[i] && (side || slide[1][i]); /* of a tube that slides one way, or none, that way only */
         }
         if (other) continue;
-        found = find_slides(&ROBOT, stop->rotations, stop->translations, by, &guess, &w->slides, &w->trial, w->matrix, &w->couplings);
+        found = find_slides(&ROBOT, stop->rotations, stop->translations, by, &guess, &w->slides, &w->trial, &w->chain, &w->couplings);
         if (found < 0) return -1;
         if (!found || !proves_turn(&w->couplings, (high - low) / 2)) return 0;
     }

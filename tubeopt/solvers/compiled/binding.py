@@ -21,7 +21,7 @@ from ...robots.robot import Robot
 from ...typing import Array, Mask
 from ..time_limit import check_time
 from .constants import DEGREE
-from .library import MOST_TUBES, Kernel, copied_shape, library
+from .library import MOST_TUBES, Kernel, abreast_library, copied_shape, library
 
 SOLVED = 0
 
@@ -218,6 +218,12 @@ def with_kernel(robot: Robot, refinement: int = 0) -> Prepared | None:
         return None
     tubes = _tubes(robot, refinement)
     return Prepared(kernel, tubes, address(tubes[0]))
+
+
+def aligned(size: int) -> NDArray[np.uint8]:
+    """Zeros (size,) at an address that is a multiple of 64, as vectors of numbers need."""
+    memory = np.zeros(size + 64, dtype=np.uint8)
+    return memory[-address(memory) % 64 :][:size]
 
 
 def address(array: NDArray[Any]) -> int:
@@ -548,6 +554,11 @@ class Branches:
         self._addresses = np.full(count, address(self._tubes[0][0]), dtype=np.uintp)
         self._arms, self._spare = np.zeros(count, kernel.answer), np.zeros(2, kernel.answer)
         self._workspace = np.zeros(kernel.workspace_size // 8 + 1)
+        self._abreast = abreast_library(robot.n_tubes) if kernel.differentiable else None
+        if self._abreast is not None:
+            self._room = aligned(self._abreast.workspace_size)
+            self._jobs = np.empty((count, 4), dtype=np.int64)
+            self._kept = np.zeros(count, kernel.answer)
         self.rotations, self.translations = np.zeros((2, count, robot.n_tubes))
         """(N, n) joint values of the equilibria, rad and m."""
 
@@ -564,8 +575,12 @@ class Branches:
         check_time()
         to = [np.ascontiguousarray(a, dtype=float) for a in (rotations, translations)]
         lost, requested = np.zeros(len(cold), dtype=np.uint8), np.ascontiguousarray(cold, dtype=np.uint8)
-        arrays = (self.rotations, self.translations, *to, requested, self._arms, lost, self._workspace, self._spare)
-        self._kernel.functions.follow_many(address(self._addresses), len(cold), *map(address, arrays))
+        first = (self.rotations, self.translations, *to, requested, self._arms)
+        places = [address(self._addresses), len(cold), *map(address, first)]
+        if self._abreast is not None:  # rows that it moves are at rest for the other kernel
+            room = address(self._jobs), address(self._kept), address(self._room)
+            self._abreast.functions.follow_abreast(*places, *room)
+        self._kernel.functions.follow_many(*places, address(lost), address(self._workspace), address(self._spare))
         return lost.astype(bool)
 
     @property

@@ -798,7 +798,7 @@ static double margin_of(Workspace *w) {
     for (int y = 0; y < l->points; y++)
         for (int i = 0; i < N; i++) n += l->present[l->section[y / l->rule->degree]][i];
     anywhere(w->vector, n);
-    Krylov inverse = {soften, w, 1, n, FIRST_LANCZOS, MOST_UNKNOWNS, 0, EIGENVALUE_ERROR, EIGENVALUE_ERROR, 1, w->basis[0]};
+    Krylov inverse = {soften, w, 1, n, FIRST_LANCZOS, MOST_UNKNOWNS, 0, EIGENVALUE_ERROR, EIGENVALUE_ERROR, 1, w->basis[0], 0};
     w->most = 1;
     margin = 1 / largest_of(&inverse, w->vector);
     if (inverse.settled) return fmin(1, margin);

@@ -173,7 +173,7 @@ static void add_stiffness(const Unknowns *q, const State *state, const double *y
 }
 
 /* a->change by base rotations and what is in a->change.moment and a->gains, and by what theta answers to these; H factorised. */
-static void respond(const Unknowns *q, const State *state, const double *h, const double *base, Around *a) {
+static void respond(const Unknowns *q, const State *state, const Chain *h, const double *base, Around *a) {
     static const double none[N];
     double theta[MOST_POINTS][N], e[MOST_UNKNOWNS], change[MOST_UNKNOWNS];
     int k = q->tableau->degree;
@@ -181,7 +181,7 @@ static void respond(const Unknowns *q, const State *state, const double *h, cons
     for (int x = 0; x < q->points; x++)
         for (int i = 0; i < N; i++) theta[x][i] = inside(q, &a->change, q->piece[x], x % k, i);
     to_unknowns(q, none, theta, e);
-    cholesky_solve(h, q->size, STRIDE, e);
+    solve_variation(q, h, e);
     times_factor(q, e, change);
     add_stiffness(q, state, change, &a->change);
     turn_along(q, base, &a->gains, &a->change);
@@ -266,7 +266,7 @@ static void swing(const Answer *out, const double *turn, int from, int at, doubl
 
 /* What a change makes of the arm, with what is gained at the points in Around, and H factorised. The shape points
    go to a->shift where `whole`. */
-static void change_by(const Unknowns *q, const State *state, const Answer *out, const double *h, const Change *c, int whole,
+static void change_by(const Unknowns *q, const State *state, const Answer *out, const Chain *h, const Change *c, int whole,
                       Around *a, Column *column) {
     double turn[MOST_PIECES + 1][3], energy = c->energy, formed = c->formed;
     int k = q->tableau->degree, last = q->layout->pieces * STEPS;

@@ -54,6 +54,6 @@ CASADI_SYMBOL_EXPORT void differentiate_dimensions(Workspace *w, const Answer *o
             add_jumps(q, mine, 1, a, &change);
             change.pushed = pushes(q, out, mine, side);
         }
-        change_by(q, &w->state, out, w->matrix, &change, 0, a, columns + k);
+        change_by(q, &w->state, out, &w->chain, &change, 0, a, columns + k);
     }
 }

@@ -24,20 +24,6 @@ CASADI_SYMBOL_EXPORT void solve_many(const Tubes *tubes, long long count, const 
     }
 }
 
-/* An answer without the unused room of its tables, which is most of it. */
-static void copy_answer(const Answer *from, Answer *to) {
-    size_t points = from->points, shape = from->pieces * STEPS + 1;
-    memcpy(to, from, offsetof(Answer, point));
-    memcpy(to->point, from->point, points * sizeof to->point[0]);
-    memcpy(to->point_rotation, from->point_rotation, points * sizeof to->point_rotation[0]);
-    memcpy(to->arc_length, from->arc_length, shape * sizeof to->arc_length[0]);
-    memcpy(to->rotation, from->rotation, shape * sizeof to->rotation[0]);
-    memcpy(to->torsion, from->torsion, shape * sizeof to->torsion[0]);
-    memcpy(to->curvature, from->curvature, shape * sizeof to->curvature[0]);
-    memcpy(to->position, from->position, shape * sizeof to->position[0]);
-    memcpy(to->frame, from->frame, shape * sizeof to->frame[0]);
-}
-
 #define SHORTEST_PART (1 / 300.) /* of a step of ordinary length */
 
 /* Many robots, each from the last of its equilibria along a straight joint path to other values, or where `cold` from tubes
@@ -85,7 +71,7 @@ CASADI_SYMBOL_EXPORT void follow_many(const Tubes *const *tubes, long long count
 /* The largest turn up to `most` of all tubes that is proved to cause no snap at what `solve` has just left, to a relative
    precision; INFINITY where nothing can snap, -1 where it is not known. Into `couplings` goes their number. */
 CASADI_SYMBOL_EXPORT double snap_distance(Workspace *w, double most, double precision, long long *couplings) {
-    int known = find_couplings(&w->fine, &w->state, &w->trial, w->matrix, &w->couplings);
+    int known = find_couplings(&w->fine, &w->state, &w->trial, &w->chain, &w->couplings);
     *couplings = w->couplings.count;
     return known ? largest_turn(&w->couplings, most, precision) : -1;
 }
@@ -96,7 +82,7 @@ CASADI_SYMBOL_EXPORT double motion_distance(Workspace *w, const Answer *at, cons
                                             double turn, double slide, double most, double precision) {
     Guess guess = guess_of(at, NULL, shift);
     int lacked = 0;
-    double proved = largest_motion(tubes, alpha, shift, turn, slide, most, precision, &guess, &w->slides, &w->trial, w->matrix,
+    double proved = largest_motion(tubes, alpha, shift, turn, slide, most, precision, &guess, &w->slides, &w->trial, &w->chain,
                                    &w->couplings, &lacked);
     return lacked ? -1 : proved;
 }

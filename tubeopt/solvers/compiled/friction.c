@@ -23,6 +23,7 @@ typedef struct {
 
 typedef struct {
     Held held[2];
+    Chain chain;
     double matrix[MOST_UNKNOWNS * STRIDE], compliance[MOST_UNKNOWNS * MOST_UNKNOWNS], mode[MOST_UNKNOWNS];
     double before[MOST_UNKNOWNS], free[MOST_UNKNOWNS], step[MOST_UNKNOWNS], last[MOST_UNKNOWNS];
     double theta[MOST_POINTS][N];
@@ -85,6 +86,58 @@ static void look(Held *h) {
 }
 
 /* --- one increment --------------------------------------------------------------------------------------------------- */
+
+/* Upper triangle of 1 + L' B V'' L, rows of length STRIDE: from the tip, the elements of tube i against all of tube j.
+   All points further out see an element alike (`beyond`), so that they enter by a sum and one row: the products cost the
+   square of the unknowns, not the cube, and less than the elimination that follows.
+   Fours that have too much are laid over by what comes after them. */
+ALWAYS_INLINE void vary(const Unknowns *q, const State *state, int k, double *h) {
+    for (int i = 0; i < N; i++)
+        for (int j = i; j < N; j++) {
+            const double *nearer = q->beyond + q->first[j];
+            double further = 0, outwards[MOST_UNKNOWNS]; /* of elements further out: B V'', and B V'' L of tube j */
+            int count = q->count[j], from = count, to;
+            for (int x = q->points - k; x >= 0; x -= k) {
+                int a = q->place[x][i], c = q->place[x][j], both = a >= 0 && c >= 0;
+                const double(*left)[WIDE] = (const double(*)[WIDE])q->block + q->first[i] + a;
+                const double(*right)[WIDE] = (const double(*)[WIDE])q->block + q->first[j] + c;
+                const double *beyond = q->beyond + q->first[i] + a;
+                double value[MOST_DEGREE], sum = 0;
+                for (int b = 0; b < k && both; b++)
+                    sum += value[b] = q->weight[x + b] * state->slope[x + b][j * N + i];
+                to = from;
+                if (c >= 0) from = c;
+                for (int r = 0; r < k && a >= 0; r++) {
+                    double *row = h + (size_t)(q->first[i] + a + r) * STRIDE + q->first[j], all = beyond[r] * further;
+                    Four here[WIDE / 4] = {{0}}; /* all that is read is written; compilers cannot know */
+                    for (int w = 0; w < k && c >= 0; w += 4) EACH(OF(here[w / 4]) = all * FOUR(nearer + c + w));
+                    for (int b = r; b < k && both; b++) {
+                        double part = left[b][r] * value[b];
+                        all += part;
+                        for (int w = 0; w < k; w += 4) EACH(OF(here[w / 4]) += part * FOUR(right[b] + w));
+                    }
+                    for (int s = 0; s < from && i != j; s += 4) EACH(FOUR(row + s) = all * FOUR(nearer + s));
+                    for (int w = 0; w < k && c >= 0; w += 4) EACH(FOUR(row + c + w) = OF(here[w / 4]));
+                    for (int s = to; s < count; s += 4) EACH(FOUR(row + s) = beyond[r] * FOUR(outwards + s));
+                }
+                for (int w = 0; w < k && c >= 0; w += 4) {
+                    Four here;
+                    EACH(OF(here) = further * FOUR(nearer + c + w));
+                    for (int b = 0; b < k && both; b++) EACH(OF(here) += value[b] * FOUR(right[b] + w));
+                    for (int s = w; s < w + 4 && s < k; s++) outwards[c + s] = here[s - w];
+                }
+                further += sum;
+            }
+        }
+    for (int r = 0; r < q->size; r++) h[(size_t)r * STRIDE + r] += 1;
+}
+
+static void second_variation(const Unknowns *q, const State *state, double *h) {
+    if (q->tableau->degree == MOST_DEGREE)
+        vary(q, state, MOST_DEGREE, h);
+    else
+        vary(q, state, COARSE_DEGREE, h);
+}
 
 /* The second-order model of the energy: (H P'; . 0) with H eliminated, which leaves its factor, and from it what the rows
    comply with. 0 where H is not positive definite. */
@@ -181,10 +234,10 @@ static int settle(Held *h, int wanted, Room *w) {
     h->margin = 1;
     if (!q->size) return 1;
     h->margin = 0;
-    if (!factor_variation(q, &h->state, w->matrix)) return 0;
+    if (!factor_variation(q, &h->state, 1, &w->chain)) return 0;
     if (!wanted) return 1;
     anywhere(w->mode, q->size);
-    h->margin = fmin(1, least_eigenvalue(w->matrix, q->size, STRIDE, ROUGH_ERROR, HARDLY_SOFTER, w->mode));
+    h->margin = fmin(1, least_eigenvalue((Factored){q, &w->chain, NULL, NULL}, ROUGH_ERROR, HARDLY_SOFTER, 0, w->mode));
     return h->margin > 0;
 }
 

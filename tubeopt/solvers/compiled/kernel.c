@@ -17,6 +17,16 @@
 #include "sections.c"
 #include "pieces.c"
 #include "layout.c"
+#if ABREAST /* four numbers of each robot one after the other */
+typedef Real FourAbreast[4];
+#undef FOUR
+#undef OF
+#undef EACH
+#define Four FourAbreast
+#define FOUR(place) ((place)[lane])
+#define OF(x) ((x)[lane])
+#define EACH(...) for (int lane = 0; lane < 4; lane++) { __VA_ARGS__; }
+#endif
 #include "linear.c"
 #include "energy.c"
 #include "minimise.c"
@@ -30,14 +40,20 @@
 #endif
 
 typedef struct {
-    Layout layout;
+    Layout layout[ROBOTS];
     Unknowns coarse, fine; /* off the centreline fine ones are of all tubes present, curved or not */
 #if ECCENTRIC
     Stretch stretch;
 #endif
     State state, trial;
     Profile arm;
+    Chain chain;
+#if ECCENTRIC
     double matrix[MOST_UNKNOWNS * STRIDE];
+#endif
+#if ABREAST
+    Answers answers;
+#endif
 #if SLOPES
     Around around;
     Couplings couplings;
@@ -46,18 +62,19 @@ typedef struct {
 } Workspace;
 
 /* Newton on the fine points from rotations `theta` there. */
-static int newton_from(double theta[][N], const double *alpha, Workspace *w, int most, int *iterations, double *ratio) {
+static Truth newton_from(Real theta[][N], const Real *alpha, Workspace *w, int most, int *iterations, Real *ratio) {
     to_unknowns(&w->fine, alpha, theta, w->state.z);
 #if ECCENTRIC
     return newton_stretched(&w->fine, alpha, &w->state, &w->stretch, w->matrix, most, iterations, ratio);
 #else
-    return newton(&w->fine, alpha, &w->state, w->matrix, most, iterations, ratio);
+    return newton(&w->fine, alpha, &w->state, &w->chain, most, iterations, ratio);
 #endif
 }
 
 #define COARSE_STEP 1e-3        /* rad, with which a descent on the coarse points ends */
 #define MOST_WARM_ITERATIONS 12 /* from a guess: more than Newton's method needs close by, since chords count too */
 
+#if !ABREAST
 /* Descent on the coarse points from tubes without torsion (on the centreline), then Newton on the fine ones. */
 static int from_untwisted(const double *alpha, Workspace *w, int *iterations, double *ratio) {
     double theta[MOST_POINTS][N];
@@ -65,29 +82,31 @@ static int from_untwisted(const double *alpha, Workspace *w, int *iterations, do
 #if ECCENTRIC
     memset(w->state.extra, 0, sizeof w->state.extra); /* of the solve before */
 #endif
-    const State *state = descend(&w->coarse, alpha, &w->state, &w->trial, w->matrix, COARSE_STEP, iterations);
+    const State *state = descend(&w->coarse, alpha, &w->state, &w->trial, &w->chain, COARSE_STEP, iterations);
     if (!state) return DECLINED;
     integrate(&w->coarse, alpha, state, &w->arm);
     interpolate(&w->coarse, &w->arm, &w->fine, TO_FINE, theta);
     return newton_from(theta, alpha, w, MOST_ITERATIONS, iterations, ratio);
 }
 
-/* Newton from a guess, with the largest change of an unknown rotation from it. */
-static int from_guess(const Guess *guess, const double *alpha, Workspace *w, int *iterations, Answer *out) {
-    double theta[MOST_POINTS][N];
+#endif
+
+/* Newton from a guess, with the largest change of an unknown rotation from it. Returns where it is declined. */
+static Truth from_guess(const Guess *guess, const Real *alpha, Workspace *w, int *iterations, Answers *out) {
+    Real theta[MOST_POINTS][N];
     const Unknowns *q = &w->fine;
-    sample(q, guess, theta);
-    if (newton_from(theta, alpha, w, MOST_WARM_ITERATIONS, iterations, &out->contraction)) return DECLINED;
+    for (int which = 0; which < ROBOTS; which++) sample(q, guess + which, which, theta);
+    Truth declined = newton_from(theta, alpha, w, MOST_WARM_ITERATIONS, iterations, &out->contraction);
     for (int i = 0; i < N; i++)
         for (int a = q->first[i]; a < q->first[i] + q->count[i]; a++) {
             int x = q->point[a];
             out->largest_change = fmax(out->largest_change, fabs(w->state.theta[x][i] - theta[x][i]));
         }
-    return SOLVED;
+    return declined;
 }
 
 /* Profile, residual, energy and margin of the solved state. */
-static void judge(const double *alpha, Workspace *w, Answer *out) {
+static void judge(const Real *alpha, Workspace *w, Answers *out) {
     State *state = &w->state;
     integrate(&w->fine, alpha, state, &w->arm);
 #if ECCENTRIC
@@ -95,36 +114,51 @@ static void judge(const double *alpha, Workspace *w, Answer *out) {
     out->energy = state->energy + stretched_torsion(&w->fine, state, &w->stretch, &w->arm);
     out->margin = 1;
     if (!w->fine.size || never_stretched(&w->fine, state, &w->stretch)) return;
-    double most = most_softening(&w->fine, &w->coarse, alpha, &w->arm, &w->trial, w->matrix);
+    double most = most_softening(&w->fine, &w->coarse, alpha, &w->arm, &w->trial, &w->chain);
     out->margin = most < 0 ? -1 : stretched_margin(&w->fine, state, &w->stretch, most, w->matrix);
 #else
     out->residual = residual_of(&w->fine, state);
     out->energy = state->energy;
-    out->margin = margin_of(&w->fine, state, w->matrix);
+    out->margin = margin_of(&w->fine, state, &w->chain);
 #endif
 }
 
-/* The stable equilibrium at base rotations `alpha` and translations `shift`, from a guess or, where that is NULL, from
-   tubes without torsion. */
-CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const double *alpha, const double *shift, const Guess *guess,
-                               Workspace *w, Answer *out) {
-    int iterations = 0, failed;
-    if (!lay_out(tubes, shift, NULL, &w->layout)) return DECLINED;
-    if (!pose_unknowns(&w->fine, &w->layout, tubes, &FINE, ECCENTRIC)) return DECLINED;
+/* The stable equilibrium on the mesh that is laid out, at base rotations `alpha`, from a guess or, where that is NULL, from
+   tubes without torsion. Returns where it is declined. */
+static Truth solve_on(const Tubes *tubes, const Real *alpha, const Guess *guess, Workspace *w, Answers *out) {
+    int iterations = 0;
+    if (!pose_unknowns(&w->fine, w->layout, tubes, &FINE, ECCENTRIC)) return YES;
     int rough = !guess || ECCENTRIC; /* where coarse points are asked: for the descent, and for that margin */
-    if (rough && !pose_unknowns(&w->coarse, &w->layout, tubes, &COARSE, 0)) return DECLINED;
-    out->contraction = out->largest_change = 0;
-    failed = guess ? from_guess(guess, alpha, w, &iterations, out)
-                   : from_untwisted(alpha, w, &iterations, &out->contraction);
-    if (failed) return DECLINED;
+    if (rough && !pose_unknowns(&w->coarse, w->layout, tubes, &COARSE, 0)) return YES;
+    out->contraction = out->largest_change = REAL(0.0);
+#if ABREAST
+    Truth declined = from_guess(guess, alpha, w, &iterations, out);
+#else
+    Truth declined = guess ? from_guess(guess, alpha, w, &iterations, out)
+                           : from_untwisted(alpha, w, &iterations, &out->contraction);
+#endif
+    if (ALL(declined)) return declined;
     judge(alpha, w, out);
-    if (!(out->margin > 0)) return DECLINED;
+    declined |= NOT(out->margin > 0);
+    if (ALL(declined)) return declined;
     out->iterations = iterations;
     finish(&w->fine, &w->state, &w->arm, out);
-    return SOLVED;
+    return declined;
 }
 
+#if !ABREAST
+/* The stable equilibrium at base rotations `alpha` and translations `shift`. */
+CASADI_SYMBOL_EXPORT int solve(const Tubes *tubes, const double *alpha, const double *shift, const Guess *guess,
+                               Workspace *w, Answer *out) {
+    if (!lay_out(tubes, shift, NULL, w->layout)) return DECLINED;
+    return solve_on(tubes, alpha, guess, w, out) ? DECLINED : SOLVED;
+}
+#endif
+
 #include "branch.c"
+#if ABREAST
+#include "abreast.c"
+#endif
 
 #if SLOPES
 #include "slopes.c"

@@ -50,7 +50,7 @@ from ..settings import (
 )
 from .constants import COARSE_DEGREE, DEGREE, arm_constants, rule_constants, slope_constants
 from .packaged import Kind, packaged_kernel, processor, processor_features
-from .text import HERE, c_text
+from .text import HERE, c_text, side_by_side
 
 PACKAGE = Path(__file__).parents[2]
 
@@ -84,6 +84,9 @@ class Capacity(NamedTuple):
 
 CAPACITY = Capacity()
 """Capacity of the kernels that Python calls."""
+
+ABREAST_UNKNOWNS = 100
+"""Largest number of unknowns where robots are solved side by side: matrices must stay in the cache."""
 
 MOST_TUBES = 6
 """Largest number of tubes in the kernel; more tubes need the blocked elimination of LAPACK, in the general solver."""
@@ -120,13 +123,18 @@ def source(n: int, eccentric: bool) -> str:
     return kernel_text(n, eccentric) + "".join((HERE / name).read_text() for name in parts)
 
 
-def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) -> str:
+def abreast_source(n: int) -> str:
+    """C text of the kernel that follows n concentric tubes of several robots side by side."""
+    return kernel_text(n, capacity=CAPACITY._replace(unknowns=ABREAST_UNKNOWNS), abreast=True)
+
+
+def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY, *, abreast: bool = False) -> str:
     """`source` without the functions that Python calls; only CasADi's functions are visible from outside."""
-    slopes = not eccentric
-    generator = ca.CodeGenerator("mechanics.c")
+    slopes = not eccentric and not abreast
+    generator, layout = ca.CodeGenerator("mechanics.c"), ca.CodeGenerator("layout.c")
     concentric, actual = section_functions(n, False), section_functions(n, eccentric)
     generator.add(concentric["balance"])
-    generator.add(coupling_rate_function(n))
+    (layout if abreast else generator).add(coupling_rate_function(n))
     section = actual["section"]
     symbols = section.sx_in()
     moment, stretch, curvature, bending = section.call(symbols)
@@ -142,6 +150,7 @@ def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) 
     if eccentric:
         generator.add(ca.Function("stretched", *signature(actual["balance"]), {"cse": True}))
     constants = {
+        "ABREAST": int(abreast),
         "ECCENTRIC": int(eccentric),
         "SLOPES": int(slopes),
         "MOST_SECTIONS": capacity.pieces,
@@ -168,7 +177,8 @@ def kernel_text(n: int, eccentric: bool = False, capacity: Capacity = CAPACITY) 
         "LARGEST_SHIFT": LARGEST_SHIFT,
     }
     tables = rule_constants(eccentric) + arm_constants() + slope_constants() * slopes
-    return tables + c_text(constants, generator, "kernel.c")
+    generated = side_by_side(layout.dump(), generator.dump()) if abreast else generator.dump()
+    return tables + c_text(constants, generated, "kernel.c")
 
 
 def signature(function: ca.Function) -> tuple[list[Any], list[Any]]:
@@ -311,12 +321,15 @@ def _warn_once(message: str) -> None:
     logging.getLogger("tubeopt").warning(message)
 
 
-def kernel_path(kind: Kind, text: Callable[[], str]) -> Path | None:
-    """Path of the kernel of a kind, from the package or compiled from its C text; None without a kernel."""
+def kernel_path(kind: Kind, text: Callable[[], str], *, required: bool = True) -> Path | None:
+    """Path of the kernel of a kind, from the package or compiled from its C text; None without a kernel.
+
+    `required`: log a warning without a kernel.
+    """
     if os.environ.get("TUBEOPT_COMPILE") == "0":
         return None
     path = packaged_kernel(kind, processor_features()) or _cached_or_built(kind, text)
-    if path is None:
+    if path is None and required:
         command = compiler()
         lacks = "no C compiler to make one" if command is None else f"the C compiler {command[0]} cannot make one"
         _warn_once(
@@ -335,9 +348,22 @@ def open_library(path: Path) -> Any:
         return None
 
 
-def load_kernel(kind: Kind, text: Callable[[], str], answer: np.dtype[np.void]) -> Kernel | None:
+@lru_cache(maxsize=16)
+def abreast_library(n: int) -> Kernel | None:
+    """Compiled kernel of `abreast_source` for n tubes; None without a kernel."""
+    kernel = load_kernel((n, "abreast"), lambda: abreast_source(n), _answer(n), required=False)
+    if kernel is not None:
+        pointer, whole = ctypes.c_void_p, ctypes.c_longlong
+        kernel.functions.follow_abreast.argtypes = [pointer, whole, *[pointer] * 9]
+        kernel.functions.follow_abreast.restype = None
+    return kernel
+
+
+def load_kernel(
+    kind: Kind, text: Callable[[], str], answer: np.dtype[np.void], *, required: bool = True
+) -> Kernel | None:
     """Kernel of a kind with this C struct Answer (without fields for none); None without a kernel."""
-    path = kernel_path(kind, text)
+    path = kernel_path(kind, text, required=required)
     loaded = None if path is None else open_library(path)
     if path is None or loaded is None:
         return None

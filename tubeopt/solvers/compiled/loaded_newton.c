@@ -243,7 +243,7 @@ static void carry_direction(const Stage *stage, const double *from, const Stage 
 /* Least eigenvalue of what is factorised, with its vector; `settled` where it is sure to `small`, see Lanczos. */
 static double least_factorised(const Stage *s, double small, double apart, int most, Step *step, Room *room, int *settled) {
     Softness of = {s, step};
-    Krylov inverse = {soften, &of, 1, unknowns_of(s), most, MOST_UNKNOWNS, 0, small, apart, 1, room->basis[0]};
+    Krylov inverse = {soften, &of, 1, unknowns_of(s), most, MOST_UNKNOWNS, 0, small, apart, 1, room->basis[0], 0};
     double largest = largest_of(&inverse, room->vector);
     *settled = inverse.settled;
     return 1 / largest;

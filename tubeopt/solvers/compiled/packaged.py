@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 Kind = tuple[int, str]
-"""Kind of a kernel: number of tubes, and "concentric", "eccentric", "loaded", "friction" or "bundle".
+"""Kind of a kernel: number of tubes, and "concentric", "abreast", "eccentric", "loaded", "friction" or "bundle".
 
 (0, "heating") and (0, "quadratic") are the kernels of heat and of small least squares, for all robots.
 """

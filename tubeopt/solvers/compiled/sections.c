@@ -10,6 +10,20 @@ typedef struct {
     double stiffness[N], moment[N], phase[N], rate[N], twist_angle[N];
 } Sections;
 
+/* The same of WIDTH robots. */
+#if ABREAST
+typedef struct {
+    Real stiffness, moment, phase, rate, twist_angle;
+} SectionAbreast;
+
+typedef struct {
+    Real stiffness[N], moment[N], phase[N], rate[N], twist_angle[N];
+} SectionsAbreast;
+#else
+typedef Section SectionAbreast;
+typedef Sections SectionsAbreast;
+#endif
+
 static inline void put_section(Sections *at, int i, Section one) {
     at->stiffness[i] = one.stiffness;
     at->moment[i] = one.moment;

@@ -33,7 +33,7 @@ static void put_column(const Column *column, const Around *a, int last, int c, d
     slopes->energy[c] = share * column->energy;
 }
 
-static void by_carriage(const Unknowns *q, const State *state, const Answer *out, const double *h, const long long *carriage,
+static void by_carriage(const Unknowns *q, const State *state, const Answer *out, const Chain *h, const long long *carriage,
                         long long own, int side, Around *a, Slopes *slopes, Along *along) {
     Change change = {.side = side};
     Column column;
@@ -52,7 +52,7 @@ static void by_carriage(const Unknowns *q, const State *state, const Answer *out
 }
 
 /* Column v of the compliance: a unit force (v < 3) or moment at the tip. */
-static void by_wrench(const Unknowns *q, const State *state, const Answer *out, const double *h, int v, Around *a,
+static void by_wrench(const Unknowns *q, const State *state, const Answer *out, const Chain *h, int v, Around *a,
                       Slopes *slopes) {
     static const double none[N];
     const Layout *l = q->layout;
@@ -86,18 +86,13 @@ static void by_wrench(const Unknowns *q, const State *state, const Answer *out, 
 }
 
 /* Whether two modes share the least eigenvalue of the second variation, one of which is `mode`, of unit length: with that
-   one raised by 1, the least is that of another. Leaves the factors that h had. */
-static int shared(const Unknowns *q, const State *state, const double *mode, double least, double *h) {
-    double other[MOST_UNKNOWNS];
-    int n = q->size;
-    second_variation(q, state, h);
-    for (int r = 0; r < n; r++)
-        for (int c = r; c < n; c++) h[(size_t)r * STRIDE + c] += mode[r] * mode[c];
-    cholesky(h, n, STRIDE);
-    anywhere(other, n);
-    double next = least_eigenvalue(h, n, STRIDE, MODE_ERROR, 0, other);
-    factor_variation(q, state, h);
-    return next - least < ONE_VALUE;
+   one raised by 1, the least is that of another. */
+static int shared(const Unknowns *q, const double *mode, double least, const Chain *h) {
+    double other[MOST_UNKNOWNS], solved[MOST_UNKNOWNS];
+    memcpy(solved, mode, q->size * sizeof(double));
+    solve_variation(q, h, solved);
+    anywhere(other, q->size);
+    return least_eigenvalue((Factored){q, h, mode, solved}, MODE_ERROR, 0, 0, other) - least < ONE_VALUE;
 }
 
 /* All slopes at what `solve` has just left. 0 where the second variation is singular. Into `along`, where not NULL, those of
@@ -107,9 +102,9 @@ CASADI_SYMBOL_EXPORT int differentiate(const Asked *asked, Workspace *w, const A
     const Unknowns *q = &w->fine;
     const State *state = &w->state;
     const long long *carriage = asked->carriage;
-    double *h = w->matrix;
+    Chain *h = &w->chain;
     Around *a = &w->around;
-    if (!factor_variation(q, state, h)) return 0;
+    if (!factor_variation(q, state, 1, h)) return 0;
     memset(&a->mode, 0, sizeof a->mode);
     memset(&a->change, 0, sizeof a->change);
     a->released = 0;
@@ -117,10 +112,10 @@ CASADI_SYMBOL_EXPORT int differentiate(const Asked *asked, Workspace *w, const A
     if (out->margin < FLAT) {
         double mode[MOST_UNKNOWNS];
         anywhere(mode, q->size);
-        double least = least_eigenvalue(h, q->size, STRIDE, MODE_ERROR, 0, mode);
+        double least = least_eigenvalue((Factored){q, h, NULL, NULL}, MODE_ERROR, 0, 0, mode);
         a->released = 1 - least;
         lean_of_margin(q, state, mode, a);
-        if (!asked->either && shared(q, state, mode, least, h)) a->form = NAN;
+        if (!asked->either && shared(q, mode, least, h)) a->form = NAN;
     }
     for (int i = 0; i < N; i++) {
         /* The equilibrium is a minimum of the energy: only what a joint does at a fixed shape counts. */

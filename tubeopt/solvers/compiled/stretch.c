@@ -115,32 +115,23 @@ static int newton_stretched(const Unknowns *q, const double *alpha, State *state
     return DECLINED;
 }
 
-/* Whether tubes on the centreline are stable with moments `soft` times as steep. */
-static int stable_softened(const Unknowns *coarse, const State *rough, double soft, double *h) {
-    second_variation(coarse, rough, h);
-    for (int r = 0; r < coarse->size; r++)
-        for (int c = r; c < coarse->size; c++)
-            h[(size_t)r * STRIDE + c] = soft * h[(size_t)r * STRIDE + c] + (r == c) * (1 - soft);
-    return cholesky(h, coarse->size, STRIDE);
-}
-
 #define FAR_BELOW 0.05 /* how far below 0 the margin on the centreline may be: several times by how much the two differ */
 #define STRETCHED_ERROR 3e-9 /* residual, as a fraction of 1 / margin, at which Arnoldi steps end */
 
 /* What 1 - mu of the margin mu cannot exceed, at most 1, and is not far below: FAR_BELOW more than what, by the coarse
    points, the same rotations have on the centreline. -1 where mu there is not above -FAR_BELOW. */
 static double most_softening(const Unknowns *all, const Unknowns *coarse, const double *alpha, const Profile *arm,
-                             State *rough, double *h) {
+                             State *rough, Chain *h) {
     double theta[MOST_POINTS][N], z[MOST_UNKNOWNS];
     interpolate(all, arm, coarse, TO_COARSE, theta);
     to_unknowns(coarse, alpha, theta, rough->z);
     evaluate(coarse, alpha, rough);
-    if (!stable_softened(coarse, rough, 1 / (1 + FAR_BELOW), h)) return -1;
+    if (!factor_variation(coarse, rough, 1 + FAR_BELOW, h)) return -1;
     if (!coarse->size) return FAR_BELOW;
     anywhere(z, coarse->size);
-    double least = least_eigenvalue(h, coarse->size, STRIDE, SOFTENING_ERROR, SOFTENING_ERROR, z);
-    double most = fmax((1 + SOFTENING_ERROR) * (1 + FAR_BELOW) * (1 - least), SOFTENING_ERROR);
-    while (most + FAR_BELOW < 1 && !stable_softened(coarse, rough, 1 / most, h)) most *= 2;
+    double least = least_eigenvalue((Factored){coarse, h, NULL, NULL}, SOFTENING_ERROR, SOFTENING_ERROR, 0, z);
+    double most = fmax((1 + SOFTENING_ERROR) * (1 + FAR_BELOW - least), SOFTENING_ERROR);
+    while (most + FAR_BELOW < 1 && !factor_variation(coarse, rough, most, h)) most *= 2;
     return fmin(most + FAR_BELOW, 1);
 }
 
@@ -230,7 +221,7 @@ static double stretched_margin(const Unknowns *q, const State *state, Stretch *e
         most = 1;
     }
     Softness of = {q, e, h};
-    Krylov inverse = {stiffness_left, &of, 0, q->size, LANCZOS, MOST_UNKNOWNS, 0, STRETCHED_ERROR, 0, most, basis[0]};
+    Krylov inverse = {stiffness_left, &of, 0, q->size, LANCZOS, MOST_UNKNOWNS, 0, STRETCHED_ERROR, 0, most, basis[0], 0};
     anywhere(vector, q->size);
     double value = largest_of(&inverse, vector);
     return value > 0 ? fmin(1, 1 - most * (1 - 1 / value)) : -1;

@@ -13,10 +13,29 @@ from numpy.typing import ArrayLike
 HERE = Path(__file__).parent
 
 
-def c_text(constants: Mapping[str, float], generator: ca.CodeGenerator, file: str) -> str:
+def c_text(constants: Mapping[str, float], generated: ca.CodeGenerator | str, file: str) -> str:
     """C text of a kernel: constants, generated functions, a file of this folder and the files that it includes."""
     head = defined(constants) + (HERE / "elementary.c").read_text()
-    return f"{head}\n{generator.dump()}\n{with_included(HERE / file)}"
+    functions = generated if isinstance(generated, str) else generated.dump()
+    return f"{head}\n{functions}\n{with_included(HERE / file)}"
+
+
+def side_by_side(of_one: str, of_each: str) -> str:
+    """C text of two generated files: functions of one robot, and functions of robots side by side.
+
+    Their numbers are of the type Real, which has no constants, conditions or truth values of C.
+    """
+    between = "".join(f"#undef {name}\n" for name in re.findall(r"#\s*define (\w+)", of_one))
+    for pattern, by in (
+        (r"=(-?\d[\d.e+-]*);", r"=REAL(\1);"),
+        (r" : 0;", " : REAL(0.);"),
+        (r"(_default_in\(casadi_int i\) \{\s*switch \(i\) \{\s*default: return) 0;", r"\1 REAL(0.);"),
+        (r"=\((\w+<\w+)\);", r"=CHOOSE(\1, 1., 0.);"),
+        (r"=\(!(\w+)\);", r"=1.-\1;"),
+        (r"=\((\w+)\?(\w+):0\);", r"=CHOOSE(\1 != 0, \2, 0.);"),
+    ):
+        of_each = re.sub(pattern, by, of_each)
+    return f"{of_one}\n{between}#define casadi_real Real\n{of_each}"
 
 
 def defined(constants: Mapping[str, float]) -> str:

@@ -17,7 +17,7 @@
 typedef struct {
     const Unknowns *q, *softest; /* with the longest transmissions */
     State *trial;
-    double *h; /* room for a factorised H */
+    Chain *h; /* room for a factorised H */
     int count, slides, point[MOST_COUPLINGS], tube[MOST_COUPLINGS][2];
     double psi[MOST_COUPLINGS], sine[MOST_COUPLINGS], cosine[MOST_COUPLINGS], w[MOST_COUPLINGS];
     double weakest[MOST_COUPLINGS], strongest[MOST_COUPLINGS]; /* w during slides */
@@ -43,8 +43,8 @@ static int add_coupling(Couplings *c, int x, int i, int j, double psi, double w)
     return 1;
 }
 
-/* H of couplings with these factors, in c->h. */
-static void vary_couplings(const Couplings *c, const Unknowns *q, const double *factor) {
+/* H of couplings with these factors, with `diagonal` in place of 1, factorised in c->h; 0 where it is not positive. */
+static int vary_couplings(const Couplings *c, const Unknowns *q, const double *factor, double diagonal) {
     State *trial = c->trial;
     memset(trial->slope, 0, q->points * sizeof trial->slope[0]);
     for (int p = 0; p < c->count; p++) {
@@ -53,14 +53,14 @@ static void vary_couplings(const Couplings *c, const Unknowns *q, const double *
         slope[i * N + i] += part, slope[j * N + j] += part;
         slope[i * N + j] -= part, slope[j * N + i] -= part;
     }
-    second_variation(q, trial, c->h);
+    return factor_variation(q, trial, diagonal, c->h);
 }
 
 /* out <- A H^-1 g, with H factorised. */
 static void answer_of(const Couplings *c, double *g, double *out) {
     double turned[MOST_UNKNOWNS];
     const Unknowns *q = c->q;
-    cholesky_solve(c->h, q->size, STRIDE, g);
+    solve_variation(q, c->h, g);
     times_factor(q, g, turned);
     for (int p = 0; p < c->count; p++) {
         int x = c->point[p], i = c->tube[p][0], j = c->tube[p][1];
@@ -104,7 +104,7 @@ static void answer_all(Couplings *c, double *g) {
 }
 
 /* The couplings of a solved state; 0 where there are too many, or where it is not stable. */
-static int find_couplings(const Unknowns *q, const State *state, State *trial, double *h, Couplings *c) {
+static int find_couplings(const Unknowns *q, const State *state, State *trial, Chain *h, Couplings *c) {
     double g[MOST_UNKNOWNS];
     c->q = c->softest = q, c->trial = trial, c->h = h, c->count = c->slides = 0;
     if (N > 4) return 0; /* 120 sectors and more take long */
@@ -119,7 +119,7 @@ static int find_couplings(const Unknowns *q, const State *state, State *trial, d
                 psi = state->theta[x][i] + at->phase[i] - state->theta[x][j] - at->phase[j] + (product < 0) * HALF_TURN;
                 if (!add_coupling(c, x, i, j, psi, q->weight[x] * fabs(product) / stiffness)) return 0;
             }
-    if (!factor_variation(q, state, h)) return 0;
+    if (!factor_variation(q, state, 1, h)) return 0;
     memcpy(g, state->gradient, sizeof g);
     answer_all(c, g);
     return 1;
@@ -189,9 +189,7 @@ static int convex_in(const Couplings *c, Box u) {
         if (u) range_of_cosine(c->psi[p] - u[0][p], c->psi[p] + u[1][p], &least, &most);
         factor[p] = (least < 0 ? c->strongest[p] : c->weakest[p]) * least;
     }
-    vary_couplings(c, c->softest, factor);
-    for (int r = 0; r < c->q->size; r++) c->h[(size_t)r * STRIDE + r] -= LEAST_RISE;
-    return cholesky(c->h, c->q->size, STRIDE);
+    return vary_couplings(c, c->softest, factor, 1 - LEAST_RISE);
 }
 
 /* Whether a box is found that is mapped into itself, and in which H is positive: by images from y on. Their steps come to
@@ -343,7 +341,7 @@ static int lay_out_slides(const Tubes *t, const double *shift, const double *aft
 /* The couplings of an arm and of slides (n) of its tubes from there, each from 0 on, where `guess` is its equilibrium. 0 where that
    is not stable, -1 where there is no room for them, or a tube is made of pieces. */
 static int find_slides(const Tubes *t, const double *alpha, const double *shift, const double *slide, const Guess *guess, Slides *s,
-                       State *trial, double *h, Couplings *c) {
+                       State *trial, Chain *h, Couplings *c) {
     double after[N], step = 0, stiffness[3], g[MOST_UNKNOWNS], factor[MOST_COUPLINGS];
     const Unknowns *q = s->fine;
     State *state = &s->state;
@@ -379,7 +377,7 @@ static int find_slides(const Tubes *t, const double *alpha, const double *shift,
                 c->weakest[c->count - 1] = always ? w / stiffness[2] : 0;
                 c->strongest[c->count - 1] = w / stiffness[1];
             }
-    sample(q, guess, state->theta);
+    sample(q, guess, 0, state->theta);
     to_unknowns(q, alpha, state->theta, state->z);
     for (int iteration = 0;; iteration++) {
         turn_points(q, alpha, state);
@@ -394,11 +392,10 @@ static int find_slides(const Tubes *t, const double *alpha, const double *shift,
         memcpy(g, state->z, q->size * sizeof *g);
         add_pulls(c, factor, g);
         for (int p = 0; p < c->count; p++) factor[p] = c->w[p] * cos(c->psi[p]);
-        vary_couplings(c, q, factor);
-        if (!cholesky(h, q->size, STRIDE)) return 0;
+        if (!vary_couplings(c, q, factor, 1)) return 0;
         if (iteration && step < POLISHED) break;
         if (iteration == MOST_POLISH) return 0;
-        cholesky_solve(h, q->size, STRIDE, g);
+        solve_variation(q, h, g);
         for (int r = 0; r < q->size; r++) state->z[r] -= g[r];
         step = turn_of(q, g);
     }
@@ -409,7 +406,7 @@ static int find_slides(const Tubes *t, const double *alpha, const double *shift,
 /* Whether turns of all tubes by up to r and slides by up to `slide` (m), all to both sides, are proved to cause no snap: 1 or
    0, -1 where there is no room to tell. `first`: bits of the directions of the slides that are tried first, then those that failed. */
 static int proves_joints(const Tubes *t, const double *alpha, const double *shift, double r, double slide, const Guess *guess, Slides *s,
-                         State *trial, double *h, Couplings *c, int *first) {
+                         State *trial, Chain *h, Couplings *c, int *first) {
     for (int k = 0; k < 1 << N; k++) {
         double by[N];
         int signs = k ^ *first;
@@ -425,7 +422,7 @@ static int proves_joints(const Tubes *t, const double *alpha, const double *shif
 /* The largest factor up to `most` at which turns by `turn` and slides by `slide` of all tubes are proved to cause no snap, to a
    relative precision; `lacked` where a larger one might be with more room. */
 static double largest_motion(const Tubes *t, const double *alpha, const double *shift, double turn, double slide, double most,
-                             double precision, const Guess *guess, Slides *s, State *trial, double *h, Couplings *c, int *lacked) {
+                             double precision, const Guess *guess, Slides *s, State *trial, Chain *h, Couplings *c, int *lacked) {
     double proved = 0, refused = most, factor = most;
     int first = 0;
     do {

@@ -14,7 +14,7 @@ from .bundle import MOST_TUBES as MOST_BUNDLED
 from .bundle import bundle_source
 from .friction import friction_source
 from .heating import heating_source
-from .library import MOST_TUBES, cache_path, compile_to, compiler, source
+from .library import MOST_TUBES, abreast_source, cache_path, compile_to, compiler, source
 from .loaded import loaded_source
 from .packaged import Generation, Kind, generations, processor_features
 from .quadratic import quadratic_source
@@ -72,6 +72,7 @@ def texts() -> dict[Kind, str]:
     for n in range(1, MOST_TUBES + 1):
         result |= {
             (n, "concentric"): source(n, False),
+            (n, "abreast"): abreast_source(n),
             (n, "eccentric"): source(n, True),
             (n, "loaded"): loaded_source(n),
             (n, "friction"): friction_source(n),
