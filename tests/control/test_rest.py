@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from tubeopt import ConcentricRobot, InputError, forward_kinematics, inverse_kin
 from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
-from tubeopt.control.crtk import CrtkRobot
+from tubeopt.control.crtk import ClosestPath, CrtkRobot
 from tubeopt.control.lookahead import PredictiveServo
 from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
@@ -193,6 +194,61 @@ def test_hold_home_and_relative_joints_of_the_server() -> None:
     assert not arm.servo.moving
     assert 0.05 < arm.servo.equilibrium.rotations[0] < 0.1 - 1e-3
     assert arm.report(0.3)["why"] == "stopped by command"
+
+
+def moved_to_closest(arm: CrtkRobot, position: Sequence[float]) -> tuple[float, float]:
+    """Distances (m) from a target where the servo rests, and where the move to the closest pose ends."""
+    clock, rest = [0.0], np.nan
+    away = lambda: float(np.linalg.norm(arm.servo.equilibrium.tip_position - position))  # noqa: E731
+    arm.command({"op": "state_command", "command": "enable"}, 0.0)
+    arm.command({"op": "move_cp", "position": list(position), "closest": True}, 0.0)
+    while arm.busy:
+        goal = arm._goal
+        if goal is not None and goal.found is not None and not arm.servo.moving:
+            rest = away()
+            with suppress(Exception):
+                goal.found.result(timeout=120)
+        clock[0] += 5e-3
+        arm.tick(lambda: clock[0], 5e-3)
+    return rest, away()
+
+
+def test_move_to_the_closest_pose_leaves_a_local_minimum() -> None:
+    """The place of rest is 22 mm farther from the target than the pose that `ik --closest` finds."""
+    start = ([0.234, 0.613, -2.701], [-0.0393, -0.0424, -0.0699])
+    servo = made("python", THESIS, start, speed=0.5, shift_rate=0.5)
+    arm, target = CrtkRobot(servo), [0.0367, -0.3115, -0.2274]
+    rest, end = moved_to_closest(arm, target)
+    found = inverse_kinematics(THESIS, target, min_margin=0.1, on_failure="closest")
+    assert end < rest - 5e-3
+    assert end < found.position_error + 1e-4
+    assert arm.events[-1][0] == "status"
+    assert f"{end * 1e3:.4g} mm" in arm.events[-1][1]
+
+
+@pytest.mark.parametrize("error", [False, True])
+def test_search_of_the_closest_pose_may_end_without_a_path(error: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    def search(*_: object) -> ClosestPath:
+        if error:
+            raise RuntimeError("broken")
+        return ClosestPath([], "there is no path")
+
+    monkeypatch.setattr("tubeopt.control.crtk.closest_path", search)
+    arm = CrtkRobot(made("python", THESIS, START, speed=0.5, shift_rate=0.5))
+    if error:
+        with pytest.raises(RuntimeError, match="broken"):
+            moved_to_closest(arm, [0.25, 0.1, 0.0])
+    else:
+        rest, end = moved_to_closest(arm, [0.25, 0.1, 0.0])
+        assert end == rest
+        assert arm.events[-1] == ("warning", "there is no path")
+
+
+def test_closest_is_true_or_false() -> None:
+    arm = CrtkRobot(made("python", THESIS, START))
+    arm.command({"op": "state_command", "command": "enable"}, 0.0)
+    with pytest.raises(InputError, match="closest is 1; it must be true or false"):
+        arm.command({"op": "move_cp", "position": [0, 0, 0.1], "closest": 1}, 0.0)
 
 
 @pytest.mark.parametrize(("kind", "count"), [("python", 300), ("c", 3000)])
