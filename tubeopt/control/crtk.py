@@ -125,11 +125,11 @@ class _Goal:
     searches: bool = False
     """True if a move that comes no closer continues to the closest pose of inverse kinematics."""
     found: Future[ClosestPath] | None = None
-    """That search, once it runs."""
+    """Running search; None before it starts."""
     waypoints: list[Command] = field(default_factory=list)
     """Joint values that the robot passes after the command."""
     words: str = ""
-    """What the search has found."""
+    """Result of the search as text."""
     closest: float = math.inf
     closer: float = 0.0
 
@@ -144,7 +144,7 @@ class ClosestPath(NamedTuple):
     waypoints: list[tuple[Array, Array]]
     """Rotations and translations after the start; none if no closer pose, or no path to it, was found."""
     words: str
-    """What was found."""
+    """Result as text."""
 
 
 def closest_path(
