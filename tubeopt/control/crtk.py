@@ -163,7 +163,7 @@ def closest_path(
     known = find_equilibria(space.robot, arm.rotations, arm.translations)
     here = next((e for e in known if math.dist(e.tip_position, arm.tip_position) < SAME_TIP), None)
     if here is None:
-        return ClosestPath([], "no closer pose is searched: the robot bears a load")
+        return ClosestPath([], "no closer pose is searched: the robot carries a load")
     try:
         answer = inverse_kinematics(
             space.robot,
