@@ -38,7 +38,7 @@ from tubeopt import (
     trace_branch,
     verify_trajectory,
 )
-from tubeopt.block.transcription.bundle import BundleState
+from tubeopt.block.transcription.bundle import BundleState, length_forces
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import Command
 from tubeopt.control.servo import Servo
@@ -176,14 +176,10 @@ def shoot(
     return violated, y[3 * n : 3 * n + 3]
 
 
-def length_forces(state: BundleState) -> Array:
+def end_forces(state: BundleState) -> Array:
     """Derivatives (n,) lambda of the energy by the own lengths of the tubes, N."""
-    problem, count = state.problem, 2 * len(state.problem.weight)
-    by_length = problem.in_section @ (problem.weight * state.by_local[:, -1])
-    if state.loading is not None:
-        by_length = by_length - state.factor * state.loading.first[count : count + len(problem.order)]
-    out = np.zeros(problem.n)
-    for boundary, value in zip(problem.order, (by_length @ problem.lengths_by_boundaries).tolist(), strict=True):
+    out = np.zeros(state.problem.n)
+    for boundary, value in zip(state.problem.order, length_forces(state).tolist(), strict=True):
         out[list(boundary.ends)] = value
     return out
 
@@ -197,7 +193,7 @@ def compared(seed: int, tightest: float = 0.15) -> Array | None:
     state = point_of(pose).state
     if state.problem.held:
         return None
-    constant = length_forces(state)
+    constant = end_forces(state)
     violated, tip = shoot(robot, pose, constant, force)
     return np.array([np.abs(violated).max(), np.abs(tip - pose.tip_position).max()])
 
@@ -798,7 +794,7 @@ def test_friction_in_the_channels_is_that_of_integrated_torques(seed: int) -> No
     rubs = -np.array([held.increment.signs[place.inner == i][0] for i in range(n)]) * torque
     # Torques in front of a place pull there, too: lambda at the plate is that at the end and their work.
     pull = (held.increment.torque * twist[place.point, place.inner]) @ (place.up_to @ problem.in_section.T)
-    constant = length_forces(state)
+    constant = end_forces(state)
     for boundary, value in zip(problem.order, (pull @ problem.lengths_by_boundaries).tolist(), strict=True):
         constant[list(boundary.ends)] += value
     constant += rubs * (problem.weight @ np.where(problem.present, state.turn, 0.0))

@@ -9,8 +9,20 @@ import pytest
 
 from benchmarks.shooting import shoot
 from tests.examples import CRL, MM, THESIS, configurations, eccentric_robot, nested
-from tubeopt import ConcentricRobot, Discretisation, Equilibrium, Load, Piece, Tube, Verification, forward_kinematics
+from tubeopt import (
+    BundleRobot,
+    ConcentricRobot,
+    Discretisation,
+    Equilibrium,
+    Load,
+    Piece,
+    Tube,
+    Verification,
+    forward_kinematics,
+    load_robot,
+)
 from tubeopt.equilibrium.verification import verifications, verify_equilibrium
+from tubeopt.robots.load import Stretch
 
 
 def checked(equilibrium: Equilibrium) -> Verification:
@@ -180,3 +192,53 @@ def test_arms_that_are_integrated_together_are_checked_each_for_itself(load: Loa
         for name in ("tip_position", "tip_rotation", "rotation", "end_torsion", "base_rotation"):
             assert getattr(result, name) == pytest.approx(getattr(own, name), rel=1e-5, abs=1e-9)
     assert verifications(arms)[-1].tip_position == pytest.approx(1e-4, rel=1e-3)
+
+
+LOADS = {
+    "none": None,
+    "tip": Load((0.05, 0.0, 0.02)),
+    "moment": Load(moment=(1e-3, 2e-3, 1e-3)),
+    "point": Load(points=((0.03, (0.1, 0.0, 0.0)),)),
+    "all along": Load(distributed=(0.5, 0.3, 0.0)),
+    "stretches": Load(distributed=(Stretch(0.02, 0.05, (0.1, 0.05, 0.1), (0.01, 0.02, 0.005)),)),
+    "follows": Load((0.05, 0.02, 0.0), frame="tip"),
+    "weight": Load((0.0, 0.0, 0.01), gravity=(5.0, -9.8, 3.0)),
+}
+
+
+@pytest.mark.parametrize("name", LOADS)
+def test_bundles_are_confirmed(name: str) -> None:
+    """Curves that begin in front of the plate and behind it, and a sheath; one end beyond the others' own lengths."""
+    robot = load_robot("configs/bundles/steerable_sheath.yaml")
+    pose = robot.fk(np.radians([0, 40, 0]), [-0.02, 0.01, -0.01], load=LOADS[name])
+    check = checked(pose)
+    assert check.tip_position < 1e-10
+    assert check.tip_rotation < 1e-8
+    assert check.rotation < 1e-9
+    assert check.end_torsion < 1e-7
+    # A load on the whole sheath jumps where it ends, inside an element.
+    assert check.end_curvature < (1e-6 if name == "all along" else 1e-8)
+    assert check.base_rotation < 1e-9
+
+
+def test_a_bundle_whose_ends_stay_together_and_one_of_segments_are_confirmed() -> None:
+    thesis = load_robot("thesis_etr").bundle()  # type: ignore[attr-defined]
+    arm = load_robot("example_three_segment_etr").bundle()  # type: ignore[attr-defined]
+    for robot, degrees in (
+        (thesis, (0, 0, 0)),
+        (thesis, (0, 60, -60)),
+        (arm, (-50, -35, -65, 110, 125, 95, 70, 85, 55)),
+    ):
+        check = checked(robot.fk(np.radians(degrees)))
+        assert max(check.tip_position, check.rotation, check.end_curvature) < 1e-8
+        assert check.end_torsion < 1e-6
+
+
+def test_another_bundle_is_not_confirmed() -> None:
+    robot = load_robot("configs/bundles/steerable_sheath.yaml")
+    assert isinstance(robot, BundleRobot)
+    pose = robot.fk(np.radians([0, 60, 30]))
+    turned = replace(pose, rotations=pose.rotations + np.array([1e-4, 0, 0]))
+    assert checked(turned).base_rotation == pytest.approx(1e-4, rel=1e-3)
+    moved = replace(pose, translations=pose.translations - np.array([1e-3, 0, 0]))
+    assert checked(moved).tip_position > 1e-6

@@ -8,25 +8,30 @@ moment m on the cross-sections, the torques t_i, and force and moment per length
     u = (m + sum kb_i u*_i e^(j theta_i)) / sum kb_i,    n' = -f,    m' = -u x t + n x e3 - l  in the Bishop frame,
 
 and at the tip n and m are the force and the moment there.
+
+The tubes of a bundle slide in frictionless channels of a sheath: see `_Channels`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 import scipy
 
+from ..block.transcription.bundle import Boundary, length_forces
 from ..robots.assembly import Assembly, cut
+from ..robots.eccentric import BundleRobot
 from ..robots.load import FORCE, MOMENT, Load, masses
 from ..robots.order import last_tube, outermost, twisted_tube
 from ..robots.pieces import Quantity, at, vary
 from ..robots.robot import Robot
 from ..robots.tubes import stretches
 from ..typing import Array, Index, Mask
+from .kinematics import point_of
 from .result import Equilibrium, Verification, refuse_friction, small_turn
 
 # Four orders below the accuracy of an equilibrium, 1e-8: differences are then errors of the solver, not of the check.
@@ -52,6 +57,8 @@ def verifications(equilibria: Sequence[Equilibrium]) -> list[Verification]:
     """
     for each in equilibria:
         refuse_friction(each)
+    if not equilibria[0].robot.fixed_sections:
+        return [_Channels.of(each).verification() for each in equilibria]
     arms = _Arms.of(equilibria)
     n, state = arms.robot.n_tubes, arms.base()
     # By integration from the shape's own values at the plate, the joint rotations must come out.
@@ -349,3 +356,207 @@ class _Section:
             **tight,
         )
         return np.asarray(run.y[:, -1]).reshape(state.shape)
+
+
+SAME_BOUNDARY = 1e-8
+"""Distance (m) along a tube below which two boundaries of a bundle are one."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Channels:
+    """Tubes of a bundle in their channels, integrated from the plate.
+
+    Tube i at the offset o_i has the own curvature v = u / g and twist w, g = 1 + d_i a_i.u, and pulls with
+
+        N = kb (kappa^2 - |v|^2) / 2 - kt w^2 / 2 - lambda - rho G.(p - p_tip + R o_i),
+
+    lambda constant between its boundaries. The moment of all tubes and of the sheath is M in world axes:
+
+        sum kb (v - kappa e) + N d a + B u = (R'M)_xy,    kt dw = kb kappa (u_x sin theta - u_y cos theta) ds.
+
+    A boundary may slide along its tube without a gain of energy: sum g (kb |v - kappa e|^2 / 2 - kt w^2 / 2 - lambda -
+    weight) + B |u|^2 / 2 - (R'M).u is the same on both sides of it. Beyond the last one it is n.t of the tip's force.
+    """
+
+    equilibrium: Equilibrium
+    load: Load
+    boundaries: tuple[Boundary, ...]
+    multipliers: Array
+    """lambda (m,) of the boundaries, N: that of a tube is the sum over those in front of it."""
+
+    @staticmethod
+    def of(equilibrium: Equilibrium) -> _Channels:
+        """Channels with the multipliers of a solved equilibrium."""
+        state = point_of(equilibrium).state
+        load = equilibrium.load or Load()
+        return _Channels(equilibrium, load, tuple(state.problem.order), length_forces(state))
+
+    @cached_property
+    def tubes(self) -> tuple[Array, ...]:
+        """(n,) kb, kt, curvature and mass per length."""
+        robot = self.equilibrium.robot
+        names = ("bending_stiffness", "torsional_stiffness", "curvature")
+        kb, kt, curved = (np.array([float(getattr(tube, name)) for tube in robot.tubes]) for name in names)
+        return kb, kt, curved, np.asarray(masses(robot.tubes, self.load))
+
+    @cached_property
+    def places(self) -> tuple[Array, Array]:
+        """(n, 2) offsets o and levers d a of the tubes, m."""
+        robot = self.equilibrium.robot
+        assert isinstance(robot, BundleRobot)
+        return robot.axes, np.asarray(robot.axes[:, ::-1] * [1.0, -1.0])
+
+    @property
+    def reach(self) -> float:
+        """Arc length up to which loads per length act: own length of the longest tube in front of the plate, m."""
+        each = self.equilibrium
+        own = [tube.length - tube.straight_length for tube in each.robot.tubes] + each.translations
+        return float(own.max())
+
+    def section(self, left: Sequence[int]) -> tuple[Array, Array, Array, bool]:
+        """kb, kappa and lambda (n,) of the tubes between the plate and the boundaries `left`, and if any is there."""
+        kb, _, curved, _ = self.tubes
+        there, bent, pull = np.zeros(len(kb)), curved.copy(), np.zeros(len(kb))
+        for k in left:
+            b = self.boundaries[k]
+            there[list(b.ends)] = 1.0
+            bent[[i for i in b.tubes if i not in b.ends]] = 0.0
+            pull[list(b.tubes[:1])] += self.multipliers[k]
+        return kb * there, bent * there, pull, bool(there.any())
+
+    def curvature(self, y: Array, section: tuple[Array, Array, Array, bool]) -> Array:
+        """(2,) curvature that balances the moment, by Newton's method."""
+        (kb, bent, pull, _), (_, kt, _, _), (_, lever) = section, self.tubes, self.places
+        n = len(kb)
+        theta, w, on = y[:n], y[n : 2 * n], kb > 0
+        natural = bent[:, None] * np.column_stack([np.cos(theta), np.sin(theta)])
+        sheath = self.equilibrium.robot.sheath_stiffness  # type: ignore[attr-defined]
+        moment, axial = self.moment(y), (kb * bent**2 - kt * w**2) / 2 - pull - self.weight(y)
+        u = kb @ natural / (kb.sum() + sheath)
+        for _ in range(12):
+            g = 1 + lever @ u
+            v = u / g[:, None]
+            tension = on * (axial - kb * (v**2).sum(1) / 2)
+            rest = kb @ (v - natural) + tension @ lever + sheath * u - moment
+            by_g = (kb / g)[:, None, None] * lever[:, :, None]
+            # dv = (1 - v d a') du / g, and d tension = -kb v.dv.
+            slope = np.eye(2) * ((kb / g).sum() + sheath) - np.einsum("ij,ikl->jk", v, by_g)
+            slope -= np.einsum("ikl,ij->kj", by_g, v) - lever.T @ (lever * (kb * (v**2).sum(1) / g)[:, None])
+            step = np.linalg.solve(slope, rest)
+            u = u - step
+            if np.abs(step).max() <= CURVATURE_ROUND_OFF * max(1.0, float(np.abs(u).max())):
+                break
+        return np.asarray(u)
+
+    def moment(self, y: Array) -> Array:
+        """(2,) moment on the cross-section in the Bishop frame, N m."""
+        return np.asarray((y[-15:-6].reshape(3, 3).T @ y[-3:])[:2])
+
+    def weight(self, y: Array) -> Array:
+        """(n,) potential of the weight of a tube per length, from the tip, N."""
+        gravity, (out, _) = np.array(self.load.gravity or (0.0, 0.0, 0.0)), self.places
+        place = y[-18:-15] - self.equilibrium.tip_position + out @ y[-15:-6].reshape(3, 3)[:, :2].T
+        return np.asarray(self.tubes[3] * (place @ gravity))
+
+    def potential(self, y: Array, section: tuple[Array, Array, Array, bool], u: Array) -> float:
+        """Quantity that is the same on both sides of a boundary that slides, N."""
+        (kb, bent, pull, _), (_, kt, _, _), (_, lever) = section, self.tubes, self.places
+        n = len(kb)
+        theta, w, g = y[:n], y[n : 2 * n], 1 + lever @ u
+        off = u / g[:, None] - bent[:, None] * np.column_stack([np.cos(theta), np.sin(theta)])
+        tubes = kb * (off**2).sum(1) / 2 - (kb > 0) * (kt * w**2 / 2 + pull + self.weight(y))
+        sheath = self.equilibrium.robot.sheath_stiffness  # type: ignore[attr-defined]
+        return float(g @ tubes + sheath * u @ u / 2 - self.moment(y) @ u)
+
+    def rates(self, s: float, y: Array, section: tuple[Array, Array, Array, bool]) -> Array:
+        """Derivatives of (theta, w, own length, p, R, n, M) by arc length."""
+        (kb, bent, _, _), (_, kt, _, mass), (out, lever) = section, self.tubes, self.places
+        n, on = len(kb), kb > 0
+        theta, w, frame = y[:n], y[n : 2 * n], y[-15:-6].reshape(3, 3)
+        u = self.curvature(y, section)
+        g, ahead = 1 + lever @ u, frame[:, 2]
+        turned = np.column_stack([-u[1] * ahead, u[0] * ahead, u[1] * frame[:, 0] - u[0] * frame[:, 1]])
+        along = self.load.per_length(np.array([s]))[0] * (s < self.reach)
+        gravity = np.array(self.load.gravity or (0.0, 0.0, 0.0))
+        weight = (mass * g * on)[:, None] * gravity
+        force = along[FORCE] + weight.sum(0)
+        couple = along[MOMENT] + np.cross(out @ frame[:, :2].T, weight).sum(0)
+        twist = kb * bent * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) / kt
+        statics = [-force, -np.cross(ahead, y[-6:-3]) - couple]
+        return np.concatenate([g * w * on, twist * on, g, ahead, turned.ravel(), *statics])
+
+    def verification(self) -> Verification:
+        """Differences of the integrated arm, and what is violated at its boundaries."""
+        each, n = self.equilibrium, self.equilibrium.robot.n_tubes
+        kb, kt, _, _ = self.tubes
+        lever, left = self.places[1], list(range(len(self.boundaries)))
+        w = each.torsion[:, 0] / (1 + lever @ each.curvature[0])
+        held = np.array([tube.straight_length for tube in each.robot.tubes]) - each.translations
+        base = each.rotation[:, 0] - np.maximum(held, 0.0) * w - each.rotations
+        pose = [np.zeros(3), np.eye(3).ravel(), each.base_wrench]
+        y, s = np.concatenate([each.rotation[:, 0], w, np.zeros(n), *pose]), 0.0
+        worst, loose, bent, most = 0.0, 0.0, 0.0, float(np.abs(lever).max()) / kb.sum()
+        while left:
+            section = self.section(left)
+            if not section[3]:
+                break
+
+            def to_go(s: float, y: Array, k: int) -> float:
+                b = self.boundaries[k]
+                return float(y[2 * n + b.tubes[0]] if b.tubes else s) - b.arc_length
+
+            events = [partial(to_go, k=k) for k in left]
+            for event in events:
+                event.terminal = True  # type: ignore[attr-defined]
+            flow = scipy.integrate.solve_ivp(
+                partial(self.rates, section=section),
+                (s, s + 2 * float(each.arc_length[-1])),
+                y,
+                method="DOP853",
+                events=events,
+                rtol=TOLERANCE,
+                atol=TOLERANCE,
+            )
+            s, y = float(flow.t[-1]), flow.y[:, -1]
+            passed = [k for k in left if abs(to_go(s, y, k)) < SAME_BOUNDARY]
+            left = [k for k in left if k not in passed]
+            u, after = self.curvature(y, section), self.section(left)
+            before = self.potential(y, section, u)
+            here = [i for k in passed for i in self.boundaries[k].ends]
+            last = not after[3]
+            if last:
+                before -= float(y[-6:-3] @ y[-15:-6].reshape(3, 3)[:, 2])
+            else:
+                before -= self.potential(y, after, self.curvature(y, after))
+            if not any(self.boundaries[k].is_load_jump for k in passed):
+                # An axial force that is off by this bends the tubes by its lever.
+                bent = max(bent, abs(before) * most)
+            for i in here:
+                twisted = float(y[-3:] @ y[-15:-6].reshape(3, 3)[:, 2]) if last and i == here[0] else 0.0
+                loose = max(loose, abs(y[n + i] - twisted / kt[i]))
+                worst = max(worst, abs(y[i] - each.tip_rotations[i]))
+            for part in self.load.points:
+                if any(self.boundaries[k].is_load_jump and abs(part.at - s) < SAME_BOUNDARY for k in passed):
+                    y[-6:-3] -= part.force
+                    y[-3:] -= part.moment
+        turn = y[-15:-6].reshape(3, 3) @ each.tip_rotation.T
+        tip = self._tip_wrench(s)
+        return Verification(
+            tip_position=float(np.linalg.norm(y[-18:-15] - each.tip_position)),
+            tip_rotation=float(np.linalg.norm(small_turn(turn))),
+            rotation=worst,
+            end_torsion=loose,
+            end_curvature=max(bent, float(np.abs(y[-3:] - tip[3:]).max()) / kb.sum()),
+            base_rotation=float(np.abs(base).max()),
+        )
+
+    def _tip_wrench(self, s: float) -> Array:
+        """Force and moment (6,) at the tip at arc length s; loads per length beyond it act there, too."""
+        wrench = np.zeros(6)
+        if self.load.distributed is not None and self.reach > s:
+            wrench += scipy.integrate.quad_vec(lambda x: self.load.per_length(np.array([x]))[0], s, self.reach)[0]
+        axes = self.equilibrium.tip_rotation if self.load.frame == "tip" else np.eye(3)
+        for part in self.load.acting:
+            if part.at == np.inf:
+                wrench += np.concatenate([axes @ part.force, axes @ part.moment])
+        return wrench

@@ -953,6 +953,15 @@ def holding_forces(state: BundleState) -> Array:
     return np.asarray(np.linalg.lstsq(rows.T, state.by_bend, rcond=None)[0])
 
 
+def length_forces(state: BundleState) -> Array:
+    """Derivatives (m,) of the potential energy by the own lengths up to the boundaries, N."""
+    problem, count = state.problem, 2 * len(state.problem.weight)
+    by_length = problem.in_section @ (problem.weight * state.by_local[:, -1])
+    if state.loading is not None:
+        by_length = by_length - state.factor * state.loading.first[count : count + len(problem.order)]
+    return np.asarray(by_length @ problem.lengths_by_boundaries)
+
+
 # --- Arm, and arms as starts ------------------------------------------------------------------------------------------
 
 
