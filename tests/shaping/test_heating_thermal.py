@@ -230,10 +230,9 @@ def test_the_program_and_the_simulation_have_the_same_physics(material: object, 
     circuit = [now.I_on[0] / SCALE.current, now.R_half.sum() / SCALE.R]
     design = np.concatenate([[rig.clamps.clearance / SCALE.length, rig.mold.lead / SCALE.length], 0.3 * places**2])
     drive = duty * now.I_on[0] ** 2 / SCALE.I_sq
-    equations, power = instant(resolution)(z, z_rate, circuit, drive, design, rig_parameters(tube, rig, resolution))
+    equations = instant(resolution)(z, z_rate, circuit, drive, design, rig_parameters(tube, rig, resolution))
     # The program fixes the leak at the given lead, as the model does: nothing is left over.
     np.testing.assert_allclose(equations.full(), 0.0, atol=1e-11 * max(1.0, np.abs(z_rate).max()))
-    assert float(power) == pytest.approx(slow[0, DRAWN], rel=1e-12)
 
 
 @pytest.mark.parametrize("material", [CALCIUM_SILICATE, replace(CALCIUM_SILICATE, conductivity_slope=1.5e-3), MDF])

@@ -48,29 +48,28 @@ class Derivative(NamedTuple):
 
 @lru_cache(maxsize=8)
 def instant_derivatives(resolution: Resolution) -> tuple[Derivative, Derivative]:
-    """Jacobian and Hessian of `instant` by its local unknowns and the length of its interval.
+    """Jacobian and Hessian of `instant` by its local unknowns.
 
     The rates, in which the equations are linear, are left out. The Jacobian of the equations is a function of (own
-    unknowns, parameters). The Hessian, of (local unknowns, parameters, multipliers, weight), is that of the equations
-    times multipliers, and of the energy, power times length, times a weight.
+    unknowns, parameters), the Hessian of the equations times multipliers of (own unknowns, parameters, multipliers).
     """
     whole = instant(resolution)
     inputs = whole.sx_in()
-    sizes = np.cumsum([0, *(inputs[k].numel() for k in LOCAL), 1]).tolist()
+    sizes = np.cumsum([0, *(inputs[k].numel() for k in LOCAL)]).tolist()
     local, parameters = ca.SX.sym("local", sizes[-1]), inputs[PARAMETERS]
-    z, circuit, I_sq, design, length = ca.vertsplit(local, sizes)
-    equations, power = whole(z, ca.SX(*z.shape), circuit, I_sq, design, parameters)
-    multipliers, weight = ca.SX.sym("multipliers", equations.numel()), ca.SX.sym("weight")
+    z, circuit, I_sq, design = ca.vertsplit(local, sizes)
+    equations = whole(z, ca.SX(*z.shape), circuit, I_sq, design, parameters)
+    multipliers = ca.SX.sym("multipliers", equations.numel())
     # Derivatives of one instant serve all points by a map: the pattern is built and coloured once.
     J = ca.jacobian(equations, local)
-    H = ca.hessian(ca.dot(multipliers, equations) + weight * length * power, local)[0]
+    H = ca.hessian(ca.dot(multipliers, equations), local)[0]
     jacobian = ca.Function("slopes", [local, parameters], [J.nz[:]], {"cse": True})
-    hessian = ca.Function("bends", [local, parameters, multipliers, weight], [H.nz[:]], {"cse": True})
+    hessian = ca.Function("bends", [local, parameters, multipliers], [H.nz[:]], {"cse": True})
     return Derivative(jacobian, J.sparsity()), Derivative(hessian, H.sparsity())
 
 
 def exact_derivatives(
-    problem: dict[str, Any], resolution: Resolution, *, parameters: Any, local: Any, rest: dict[str, Any], weights: Any
+    problem: dict[str, Any], resolution: Resolution, *, parameters: Any, local: Any, rest: Any
 ) -> dict[str, ca.Function]:
     """Jacobian of the constraints of a program and Hessian of its Lagrangian, as options of its `nlpsol`.
 
@@ -78,26 +77,22 @@ def exact_derivatives(
 
     Args:
         parameters: of tube and rig.
-        local: (Y, N) unknowns of every instant and the length of its interval, linear in the unknowns.
-        rest: objective "f" without the energy; all constraints "g", where the equations of the instants, which come
-            first, are reduced to their rates.
-        weights: (1, N) of power times length in the objective.
+        local: (Y, N) own unknowns of every instant, linear in the unknowns.
+        rest: all constraints, where the equations of the instants, which come first, are reduced to their rates.
     """
-    x, p, g = (problem[name] for name in "xpg")
+    x, p, f, g = (problem[name] for name in "xpfg")
     jacobian, hessian = instant_derivatives(resolution)
     count, size = local.size2(), jacobian.pattern.size1()
     factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", g.numel())
     of_instants = ca.reshape(multipliers[: count * size], size, count)
     J_nonzeros = jacobian.nonzeros.map("slopes", "serial", count, [1], [])(local, parameters)
-    H_nonzeros = hessian.nonzeros.map("bends", "serial", count, [1], [])(
-        local, parameters, of_instants, factor * weights
-    )
-    # Chain rule with a constant matrix, as local unknowns and interval lengths are linear in x.
+    H_nonzeros = hessian.nonzeros.map("bends", "serial", count, [1], [])(local, parameters, of_instants)
+    # Chain rule with a constant matrix, as local unknowns are linear in x.
     local_by_x = ca.jacobian(ca.vec(local), x)
     # Only the first constraints, the equations of instants, depend on x through them.
     others = ca.MX(g.numel() - count * size, x.numel())
-    J = ca.jacobian(rest["g"], x) + ca.vertcat(ca.mtimes(_blocks(jacobian.pattern, J_nonzeros), local_by_x), others)
-    lagrangian = factor * rest["f"] + ca.dot(multipliers, rest["g"])
+    J = ca.jacobian(rest, x) + ca.vertcat(ca.mtimes(_blocks(jacobian.pattern, J_nonzeros), local_by_x), others)
+    lagrangian = factor * f + ca.dot(multipliers, rest)
     H = ca.hessian(lagrangian, x)[0] + ca.mtimes([local_by_x.T, _blocks(hessian.pattern, H_nonzeros), local_by_x])
     inputs = {"x": x, "p": p}
     return {
@@ -127,8 +122,8 @@ REGULARISATION = 1e-5
 # change. Tubes that are hard to heat take up to about 150 iterations.
 IPOPT = Ipopt(tolerance=1e-4, constraint_tolerance=1e-7, iterations=250, barrier=1e-2)
 
-# A correction moves the bounds by a few K, which takes 5 to 15 steps. After more a new start is faster.
-RESTART_ITERATIONS = 25
+# A correction moves the bounds by a few K, which takes 3 to 30 steps. After more a new start is faster.
+RESTART_ITERATIONS = 40
 """Iterations from an earlier solution before a new start."""
 
 MUMPS: dict[str, Any] = {
@@ -147,14 +142,21 @@ ROUGH: dict[str, Any] = {**COLD, "ipopt.tol": 3e-3, "ipopt.compl_inf_tol": 3e-3}
 ROUGH_BARRIER = {True: 1e-3, False: 1e-2}
 """First barrier parameter of `Program.rough`, with and without a soft limit."""
 
+# Other limits are active after a correction. Bounds at which the start almost lies would let no step be long: with a
+# tenth of the barrier and of the distances the hardest programs take twice as many steps.
 WARM: dict[str, Any] = {
-    "ipopt.mu_init": 1e-5,
+    "ipopt.mu_init": 1e-4,
     "ipopt.warm_start_init_point": "yes",
-    "ipopt.warm_start_bound_push": 1e-6,
-    "ipopt.warm_start_bound_frac": 1e-6,
-    "ipopt.warm_start_slack_bound_push": 1e-6,
-    "ipopt.warm_start_slack_bound_frac": 1e-6,
-    "ipopt.warm_start_mult_bound_push": 1e-6,
+    **dict.fromkeys(
+        (
+            "ipopt.warm_start_bound_push",
+            "ipopt.warm_start_bound_frac",
+            "ipopt.warm_start_slack_bound_push",
+            "ipopt.warm_start_slack_bound_frac",
+            "ipopt.warm_start_mult_bound_push",
+        ),
+        1e-2,
+    ),
 }
 
 
@@ -342,15 +344,12 @@ def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
     linear = w["w_time"] * x.durations[0] + w["w_miss"] * x.misses[0] + w["w_custom"] * ca.sum1(slacks)
     if custom.objective is not None:
         linear += custom.objective(course)
-    # Energy is the quadrature of power, with the weights of the collocation.
-    quadrature = np.tile(tableau("radau", mesh.degree).weights, mesh.intervals)
-    energy = w["w_energy"] / SCALE.energy * ca.DM(quadrature).T
 
     column = ca.vertcat(x.column, slacks)
     problem = {
         "x": column,
         "p": ca.veccat(p, task),
-        "f": smooth + linear + ca.sum2(course.power * energy * course.length),
+        "f": smooth + linear + w["w_energy"] / SCALE.energy * course.energy,
         "g": ca.veccat(*blocks.values()),
     }
     blocks["equations"] = ca.vertcat(course.rate, ca.MX(course.equations.size1() - s.states, s.points))
@@ -358,9 +357,8 @@ def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
         problem,
         s.resolution,
         parameters=p,
-        local=ca.vertcat(x.z, x.circuit, course.I_sq, course.designs, course.length),
-        rest={"f": smooth + linear, "g": ca.veccat(*blocks.values())},
-        weights=energy,
+        local=ca.vertcat(x.z, x.circuit, course.I_sq, course.designs),
+        rest=ca.veccat(*blocks.values()),
     )
     exact = {**IPOPT.options(), **MUMPS, **derivatives}
     convex = {**exact, "hess_lag": _convex_hessian(problem, smooth)}

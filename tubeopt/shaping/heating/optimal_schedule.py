@@ -218,7 +218,7 @@ def solve_ideal(  # noqa: PLR0913
     soft = (guess is None or guess.structure.soft_limit) if soft_limit is None else soft_limit
     structure = Structure(PROGRAM, soft_limit=soft and spec.objective == "margin", chosen=spec.free)
     nlp = program(structure, custom)
-    x = guess.x if guess is not None else first_guess(structure, tube, rig, spec)
+    x = first_guess(structure, tube, rig, spec) if guess is None else _start_at(guess, spec, reserve, shift, structure)
     lower, upper = _unknown_bounds(structure, tube, rig, spec)
     lbg, ubg = _constraint_bounds(nlp, shift)
     if not structure.soft_limit:
@@ -241,13 +241,14 @@ def solve_ideal(  # noqa: PLR0913
     # The first solver that converges: from the earlier solution, anew, and with the convex Hessian.
     cold = nlp.rough if slacks.any() else nlp.exact
     attempts: list[tuple[Any, dict[str, Array]]] = [(cold, {}), (nlp.convex, {})]
-    # The multipliers of a program with other constraints are of no use.
-    known = guess is not None and guess.multipliers.constraints.size == lbg.size
-    if guess is not None and known and not spec.free and slacks.max(initial=0.0) < RESTART_SLACK:
-        of_g = guess.multipliers.constraints
-        # Slacks are stationary.
-        of_x = np.append(guess.multipliers.bounds, -CUSTOM_WEIGHTS[0] - of_g[len(of_g) - count :])
-        attempts.insert(0, (nlp.restart, {"lam_x0": of_x, "lam_g0": of_g}))
+    if guess is not None and not spec.free and slacks.max(initial=0.0) < RESTART_SLACK:
+        same = guess.structure.soft_limit == structure.soft_limit
+        of_x, of_g = guess.multipliers if same else _with_other_limit(guess, nlp)
+        # The multipliers of a program with other constraints are of no use.
+        if of_g.size == lbg.size:
+            # Slacks are stationary.
+            of_x = np.append(of_x, -CUSTOM_WEIGHTS[0] - of_g[len(of_g) - count :])
+            attempts.insert(0, (nlp.restart, {"lam_x0": of_x, "lam_g0": of_g}))
     solved = _first_success(nlp, attempts, x=np.append(x, slacks), p=p, **bounds)
     if solved.x[len(x) :].max(initial=0.0) > CUSTOM_TOLERANCE:
         p[-1] = CUSTOM_WEIGHTS[1]
@@ -257,9 +258,42 @@ def solve_ideal(  # noqa: PLR0913
     if spec.objective == "margin" and soft_limit is not False and soft == (answer.miss > 0):
         return solve_ideal(
             tube, rig, spec,
-            reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=guess, soft_limit=not soft, custom=custom,
+            reserve=reserve, ramp_reserve=ramp_reserve, shift=shift, guess=answer, soft_limit=not soft, custom=custom,
         )  # fmt: skip
     return answer
+
+
+def _start_at(
+    guess: Ideal, spec: HeatingSpec, reserve: tuple[float, float], shift: Shift | None, s: Structure
+) -> Array:
+    """Unknowns of an earlier solution, with the miss that they have after a correction."""
+    low, high = spec.window_degC
+    change = (0.0, 0.0) if shift is None else (shift.hold, shift.tube)
+    hold, peak = guess.hold + change[0] - ZERO_CELSIUS, (guess.tube + change[1]).max() - ZERO_CELSIUS
+    missed = max(low + reserve[0] - hold.min(), hold.max() - high + reserve[1])
+    if s.soft_limit:
+        missed = max(missed, peak - spec.limit + reserve[1])
+    x = guess.x.copy()
+    # A start that violates the window would make room by short steps; it has a miss instead, which is reduced by long
+    # ones.
+    misses = np.split(x, np.cumsum([rows * columns for rows, columns in s.unknowns.values()]))[4]
+    misses[:] = np.maximum(misses, missed)
+    return x
+
+
+def _with_other_limit(guess: Ideal, nlp: Program) -> Multipliers:
+    """Multipliers of a solution whose limit was bounds where that of a program is constraints, or the reverse."""
+    s, (of_x, of_g) = guess.structure, guess.multipliers
+    first = sum(nlp.sizes[name] for name in ("equations", "same", "low", "high"))
+    tubes = np.zeros((s.points, s.states), dtype=bool)
+    tubes[:, : s.resolution.cells] = True
+    cells, of_x = np.flatnonzero(tubes), of_x.copy()
+    if s.soft_limit:
+        of_x[cells] += of_g[first : first + len(cells)]
+        return Multipliers(of_x, np.delete(of_g, slice(first, first + len(cells))))
+    of_limit = np.maximum(of_x[cells], 0.0)
+    of_x[cells] -= of_limit
+    return Multipliers(of_x, np.insert(of_g, first, of_limit))
 
 
 class _Solved(NamedTuple):

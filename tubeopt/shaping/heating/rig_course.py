@@ -157,7 +157,7 @@ class Parameters:
 
 @lru_cache(maxsize=8)
 def instant(resolution: Resolution) -> ca.Function:
-    """Function (z, z', circuit, I_sq, design, parameters) -> (equations, battery power in W) of one instant.
+    """Function (z, z', circuit, I_sq, design, parameters) -> equations of one instant.
 
     All unknowns are scaled. z: temperatures of tube, shells cell by cell and clamp above ambient, charge drawn, sag; z'
     is per s. circuit: current while the MOSFET conducts, and resistance of half the tube. design: clearance, lead, and
@@ -192,7 +192,7 @@ def instant(resolution: Resolution) -> ca.Function:
     voltage = (I_on * heat.loop_resistance(drive.R_half, p) - V_oc + x.V_sag) / SCALE.voltage
     resistance = ca.sum1(heat.cell_resistance(T.tube, v, p)) / SCALE.R - circuit[1]
     equations = ca.vertcat(rate - z_dot, voltage, resistance)
-    return ca.Function("instant", [z, rate, circuit, I_sq, design, column], [equations, drive.I_mean * V_oc])
+    return ca.Function("instant", [z, rate, circuit, I_sq, design, column], [equations])
 
 
 @dataclass(frozen=True)
@@ -292,7 +292,6 @@ class RigCourse:
     Attributes:
         length: (1, N) length of the interval of every point, s.
         equations: equations of all points, scaled.  rate: (S, N) rates of the scaled states, 1/s.
-        power: (1, N) mean power of the battery's open-circuit voltage, W.
     """
 
     def __init__(  # noqa: PLR0913
@@ -323,7 +322,7 @@ class RigCourse:
         self.rate = ca.mtimes(values, ca.sparsify(ca.DM(differentiation(mesh)))) / ca.repmat(self.length, states, 1)
         self.I_sq = ca.mtimes(I_sq_nodes, ca.sparsify(ca.DM(interpolation(mesh))))
         instants = instant(resolution).map("instants", "serial", points, [5], [])
-        self.equations, self.power = instants(z, self.rate, circuit, self.I_sq, designs, column)
+        self.equations = instants(z, self.rate, circuit, self.I_sq, designs, column)
 
     # --- time ---------------------------------------------------------------------------------------------------------
 
@@ -468,6 +467,11 @@ class RigCourse:
     def charge(self) -> Any:
         """(1, N) fraction of the battery's capacity that was drawn."""
         return SCALE.charge * self.z[-2, :]
+
+    @property
+    def power(self) -> Any:
+        """(1, N) mean power of the battery's open-circuit voltage, W."""
+        return self.mean_current * heat.open_circuit_voltage(self.charge, self.parameters.properties)
 
     @property
     def energy(self) -> Any:

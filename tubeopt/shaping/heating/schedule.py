@@ -355,7 +355,7 @@ def best_schedule(tube: Tube, rig: Rig, spec: HeatingSpec, custom: CustomTerms =
         return best
     ramps = [planned_ramp(tube, rig, spec, reserve) for reserve in (ramp_reserve, LARGE_RAMP_RESERVE)]
     if not hopeless and ramps[0] != ramps[1] and _fell_behind(best, spec):
-        second = _corrected(tube, rig, spec, LARGE_RAMP_RESERVE, rounds=ROUNDS)
+        second = _corrected(tube, rig, spec, LARGE_RAMP_RESERVE, rounds=ROUNDS, start=best.program)
         best = min(best, second, key=lambda schedule: schedule.violation)
     if nearest is None and best.outcome.shortfall > 0:
         nearest = nearest_hold(tube, best.run.rig, spec)
@@ -479,15 +479,27 @@ def _fell_behind(schedule: Schedule, spec: HeatingSpec) -> bool:
     return 0 < schedule.outcome.shortfall < float(lag.max()) + HOPELESS
 
 
-def _corrected(
-    tube: Tube, rig: Rig, spec: HeatingSpec, ramp_reserve: float, *, rounds: int, custom: CustomTerms = NO_TERMS
+def _corrected(  # noqa: PLR0913
+    tube: Tube,
+    rig: Rig,
+    spec: HeatingSpec,
+    ramp_reserve: float,
+    *,
+    rounds: int,
+    custom: CustomTerms = NO_TERMS,
+    start: Programmed | None = None,
 ) -> Schedule:
-    """Schedule of the optimal control problem after deferred correction, in at most so many rounds."""
+    """Schedule of the optimal control problem after deferred correction, in at most so many rounds.
+
+    `start` is an earlier solution with its correction.
+    """
     swing = ripple(tube, rig, spec)
-    reserve = _first_reserve(tube, rig, spec)
     ideal: Ideal | None = None
     shift: Shift | None = None
     best: Schedule | None = None
+    reserve = _first_reserve(tube, rig, spec)
+    if start is not None:
+        ideal, shift, reserve = start.ideal, start.shift, start.reserve
     if custom.requirements:
         # With the correction at a start the first solution needs little more.
         ideal = custom_start(tube, rig, spec, custom)

@@ -64,10 +64,13 @@ static void transpose(In from, int rows, int columns, Out to) {
 static void conduct(Rig *r, In x, double most) {
     int n = r->cells, last = r->size - n;
     Out f = r->factor;
+    In p = r->p;
     for (int i = n; i < r->size; i++) {
-        const double *in[] = {x + i, r->p};
-        double *out[] = {f + i};
+        double T = x[i], factor; /* with addresses that are not null, so that there is no branch */
+        const double *in[] = {&T, p};
+        double *out[] = {&factor};
         law_factor(in, out, 0, 0, 0);
+        f[i] = factor;
     }
     for (int i = 0; i < n; i++) {
         const double *in[] = {f + n + i, r->outside + i, r->wall + i};

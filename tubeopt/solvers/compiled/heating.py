@@ -15,7 +15,7 @@ from ...physics.heat import PROPERTIES, Resolution, volume_shapes
 from ...physics.heat_functions import CLAMP, GAMMA, GROWTH, LUMPED, OF_A_CELL, cell_functions
 from ...typing import Array
 from .library import kernel_path, open_library
-from .text import c_text
+from .text import c_text, private
 
 
 def heating_source() -> str:
@@ -30,7 +30,7 @@ def heating_source() -> str:
         "GAMMA": GAMMA,
         "GROWTH": GROWTH,
     }
-    return c_text(constants, generator, "heating.c")
+    return c_text(constants, private(generator.dump()), "heating.c")
 
 
 @lru_cache(maxsize=1)

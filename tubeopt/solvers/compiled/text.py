@@ -38,6 +38,11 @@ def side_by_side(of_one: str, of_each: str) -> str:
     return f"{of_one}\n{between}#define casadi_real Real\n{of_each}"
 
 
+def private(functions: str) -> str:
+    """C text of generated functions that cannot be called from outside: the compiler may put them in line."""
+    return re.sub(r"^(CASADI_SYMBOL_EXPORT |(?=casadi_real casadi_))", "static ", functions, flags=re.MULTILINE)
+
+
 def defined(constants: Mapping[str, float]) -> str:
     """C text of constants by name."""
     return "".join(f"#define {name} {value!r}\n" for name, value in constants.items())
