@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ...block.transcription.tableau import tableau
 from ...physics.heat import Resolution
 from ...solvers.settings import Ipopt
 from ...typing import Array
@@ -325,7 +324,7 @@ def custom_function(s: Structure, custom: CustomTerms) -> ca.Function:
 def program(s: Structure, custom: CustomTerms = NO_TERMS) -> Program:
     """Compiled program of a structure."""
     x, p, task, course = _course(s, custom.grid)
-    w, mesh = dict(zip(TASK, ca.vertsplit(task), strict=True)), s.mesh
+    w = dict(zip(TASK, ca.vertsplit(task), strict=True))
     limits = course.limits(w, x.misses)
     limits["limit"] = limits["limit"][:, : s.soft_limit * s.points]
     blocks = {
