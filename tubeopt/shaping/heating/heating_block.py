@@ -191,7 +191,8 @@ class HeatingBlock(RigCourse):
     @classmethod
     def solver_options(cls, tolerance: float = 1e-8) -> dict[str, Any]:
         """Options of `opti.solver("ipopt", block.solver_options())`, with the settings of `solver`."""
-        return cls.solver(tolerance).options()
+        # Every instant has its own operations then, and derivatives take an eighth of the time.
+        return {**cls.solver(tolerance).options(), "expand": True}
 
     # --- results ------------------------------------------------------------------------------------------------------
 

@@ -479,7 +479,7 @@ def _fell_behind(schedule: Schedule, spec: HeatingSpec) -> bool:
     return 0 < schedule.outcome.shortfall < float(lag.max()) + HOPELESS
 
 
-def _corrected(  # noqa: PLR0913
+def _corrected(
     tube: Tube,
     rig: Rig,
     spec: HeatingSpec,
