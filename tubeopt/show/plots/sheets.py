@@ -117,6 +117,8 @@ MAX_COLUMNS = 3
 @picture
 def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     """Set-up sheet for the workshop: one page A4 with drawings, a table of numbers, and the steps."""
+    from matplotlib.path import Path as MplPath
+
     if isinstance(part, Mandrel):
         figure = _new_sheet(f"Set-up sheet: {title or f'mandrel of tube {part.number}'}")
         draw_space(figure.add_axes((0.03, 0.5, 0.42, 0.42), projection="3d"), part)
@@ -152,11 +154,13 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     lid = figure.add_axes((left / A4[0], foot / A4[1], plate[0] / scale / A4[0], plate[1] / scale / A4[1]))
     draw_lid(lid, part)
     lid.set_axis_off()
-    # Clamps may cover the place to the left of the corner.
-    jaws = [clamp_corners(clamp, part.spec.clamps).min(axis=0) * TO_MM for g in part.grooves for clamp in g.clamps]
-    covered = any((corner < [5.0 * scale, 5.0 * scale]).all() for corner in jaws)
-    for x, shift in ((base, 4.0 if covered else 0.0), (left, 0.0)):
-        _write(figure, x - 2.6 + shift, foot + 1.0 - shift, "0", size=9, weight="bold")
+    # A clamp may cover the place to the left of the corner.
+    place = np.array([(x, y) for x in (-2.5, -1.5, -0.5) for y in (-2.5, -1.0, 0.5)]) * scale / TO_MM
+    clamps = [clamp for groove in part.grooves for clamp in groove.clamps]
+    covered = any(MplPath(clamp_corners(clamp, part.spec.clamps)).contains_points(place).any() for clamp in clamps)
+    at_base = (base + 3.5, foot - 0.5) if covered else (base - 2.6, foot + 1.0)
+    for x, y in (at_base, (left - 2.6, foot + 1.0)):
+        _write(figure, x, y, "0", size=9, weight="bold")
     turned = "lower face up as milled, turned over about its left edge" if part.slots else "from above"
     _write(
         figure,
