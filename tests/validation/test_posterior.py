@@ -13,8 +13,12 @@ import scipy
 from scipy.spatial.transform import Rotation
 
 from tubeopt import ConcentricRobot, InputError, Tube, forward_kinematics, load_robot
+from tubeopt.bodies.obstacles import scene_of
 from tubeopt.cli.app import main
+from tubeopt.files.yaml_file import to_yaml
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.robots.calibration import Posterior
+from tubeopt.runs.plan_study import Required, load_plan_study, of_real_robot
 from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty
 from tubeopt.validation.certainty import certificate_bounds
 from tubeopt.validation.effects import Setup, heated_pieces, heated_shape
@@ -185,6 +189,46 @@ def test_bounds_hold_for_as_many_drawn_robots_as_told() -> None:
     assert (np.linalg.norm(off, axis=1) < told.tip_radius[0]).mean() >= 0.95
     with pytest.raises(InputError, match=r"probability is 0.3"):
         uncertainty(e, (0.3,))
+
+
+def test_plans_and_checks_keep_their_bounds(tmp_path: Path) -> None:
+    """A ball beside the path: a plan without, and one with a confidence, followed by 60 robots."""
+    robot_of = uncertain(
+        ["rotation_2", "curvature_1", "torsional_stiffness_1", "translation_2"], ["rad", "1/m", "", "m"],
+        [0.06, 0.4, 0.04, 0.4 * MM], misfit=0.2 * MM,
+    )  # fmt: skip
+    robot_of.save(tmp_path / "robot.yaml")
+    x, y, z = forward_kinematics(robot_of, np.radians([91.5, 0.0])).tip_position.tolist()
+    common = {
+        "obstacles": [{"kind": "sphere", "centre_mm": [1e3 * x, 1e3 * y, 1e3 * z + 7], "radius_mm": 5}], "clearance_mm": 0.5,
+    }  # fmt: skip
+    question = {"kind": "plan", "robot": "robot.yaml", "goal_deg": [183, 0], **common}
+    (tmp_path / "plan.yaml").write_text(to_yaml(question, "A plan. Source: a test."))
+    plain = load_plan_study(tmp_path / "plan.yaml").run()
+    (tmp_path / "plan.yaml").write_text(to_yaml(question | {"confidence": 0.999}, "A plan. Source: a test."))
+    sure = load_plan_study(tmp_path / "plan.yaml").run()
+    assert plain.proof.real is not None
+    assert sure.proof.real is not None
+    assert plain.proof.real.clearance[1] <= plain.proof.real.clearance[0] < plain.proof.least_clearance - 0.2 * MM
+    assert plain.proof.real.margin[1] < plain.proof.real.margin[0] < plain.proof.least_margin
+    assert sure.proof.real.clearance[0] >= 0.5 * MM
+    assert sure.proof.real.margin[0] >= 0.05
+    rows, reals, random = np.linspace(0, len(sure.time) - 1, 40).astype(int), real_robots(robot_of), np.random
+    assert reals is not None
+    for draw in random.default_rng(0).normal(size=(60, reals.size)):
+        real, near = reals.at(draw, sure.rotations[rows], sure.translations[rows]), sure.arms[0]
+        for alpha, shift in zip(real.rotations, real.translations, strict=True):
+            near = forward_kinematics(real.robot, alpha, shift, start=near)
+            assert near.margin > 0.05
+            assert ArmSurface(near).clearance(scene_of(sure.obstacles)) > 0.0
+    required = Required(0.05, 0.5 * MM, 0.999)
+    refused = of_real_robot(plain.proof, plain.rotations, plain.translations, plain.obstacles, required)
+    assert plain.proof.holds
+    assert not refused.holds
+    assert "with 99.9 % the real robot has a clearance of" in refused.faults[0]
+    replace(robot_of, posterior=None).save(tmp_path / "robot.yaml")
+    with pytest.raises(InputError, match="no posterior"):
+        load_plan_study(tmp_path / "plan.yaml")
 
 
 def test_certificates_of_tubes_that_may_be_more_curved() -> None:

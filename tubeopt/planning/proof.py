@@ -36,6 +36,7 @@ from ..errors import InputError, SolveError, finite, instance, positive
 from ..files.field_metadata import TYPICAL_CLEARANCE, form, key, typical_length, unit
 from ..inverse.clock import Clock
 from ..robots.assembly import LENGTH_ROUND_OFF
+from ..robots.calibration import PathBounds
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -395,6 +396,8 @@ class Proof(Displayed):
     """Equilibria at the samples up to `end`."""
     clearance_from: tuple[str, ...] = ()
     """Reference of the clearance for obstacles that are points or open surfaces, as text."""
+    real: PathBounds | None = None
+    """Bounds on the real robot, estimated; None without a posterior, and where the motion was not followed."""
 
     largest_rotation_rate, largest_translation_rate = Delegate[float]("paces"), Delegate[float]("paces")
     largest_rotation_acceleration, largest_translation_acceleration = Delegate[float]("paces"), Delegate[float]("paces")

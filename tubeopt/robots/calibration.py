@@ -259,6 +259,18 @@ class Posterior(Displayed):
         return np.asarray(sizes[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
+@dataclass(frozen=True)
+class PathBounds(Displayed):
+    """Bounds on the real robot along a path, estimated to first order at some of its configurations."""
+
+    probabilities: tuple[float, ...]
+    """Probabilities (Q,) of the bounds."""
+    margin: tuple[float, ...]
+    """(Q,) margins; 0 where it may snap."""
+    clearance: tuple[float, ...]
+    """(Q,) distances from obstacles, m; infinite without obstacles."""
+
+
 # Names of the fields with a number for every tube.
 TABLES = tuple(field.name for field in fields(Calibration) if str(field.type).startswith("Annotated[Numbers"))
 

@@ -12,9 +12,9 @@ from pydantic import Field, model_validator
 
 from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame, Plane
-from ..bodies.obstacles import Obstacle
+from ..bodies.obstacles import Obstacle, scene_of
 from ..display import Displayed
-from ..errors import without_unit_warnings
+from ..errors import SolveError, without_unit_warnings
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole, check_kind, in_file
 from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, keys_from, values
@@ -38,6 +38,7 @@ from ..planning.tip_path import follow_the_leader, follow_tip_path
 from ..planning.trajectory import TimedJoints, load_trajectory
 from ..robots.robot import Robot
 from ..typing import Array, Progress
+from ..validation.certainty import PROBABILITIES, path_bounds
 from .robot_keys import Loaded, OnePerTube, RobotPath, Started, check_within, joints_of, rewording_joints
 from .study_file import Study, Timed
 from .surroundings_file import BasePart, Bodies, Position, Surrounded, TipPosition
@@ -140,6 +141,53 @@ class Aimed(Started):
         return TipGoal(position, None if self.tip_direction is None else np.array(self.si("tip_direction")))
 
 
+# --- the real robot ---------------------------------------------------------------------------------------------------
+
+# What a plan lacks in margin or clearance of the real robot is required in addition, times this factor.
+MORE, ROUNDS = 1.3, 4
+"""Factor on the additional requirements, and maximum number of plans for a confidence."""
+
+MOST_MARGIN = 0.99
+"""Largest margin that is required for the real robot's sake."""
+
+
+@dataclass(frozen=True)
+class Required:
+    """Requirements on the real robot."""
+
+    margin: float
+    clearance: float
+    """Smallest distance from obstacles, m."""
+    confidence: float | None
+    """Probability with which it must keep both; None requires nothing."""
+
+
+def check_confidence(confidence: Any, robot: Robot) -> None:
+    """Raise ValueError for a confidence with a robot without a posterior."""
+    if confidence is not None and robot.posterior is None:
+        raise ValueError("confidence is given, and the robot has no posterior; tubeopt validate --fit writes one")
+
+
+def of_real_robot(
+    proof: Proof, rotations: Array, translations: Array, bodies: tuple[Obstacle, ...], required: Required
+) -> Proof:
+    """Proof with bounds on the real robot, and with faults where they miss the requirements."""
+    if len(proof.samples) < len(rotations):
+        return proof
+    confidence = required.confidence
+    probabilities = PROBABILITIES if confidence is None else (confidence,)
+    real = path_bounds(proof.samples[0], rotations, translations, scene_of(bodies) if bodies else None, probabilities)
+    if real is None or confidence is None:
+        return replace(proof, real=real)
+    faults, shown = list(proof.faults), f"with {100 * confidence:g} % the real robot has"
+    if real.margin[0] < required.margin or not real.margin[0]:
+        faults.append(f"{shown} a margin of {real.margin[0]:.4g}; it must be at least {required.margin:g}")
+    if real.clearance[0] < required.clearance:
+        distance, least = real.clearance[0] * 1e3, required.clearance * 1e3
+        faults.append(f"{shown} a clearance of {distance:.4g} mm; it must be at least {least:.6g} mm")
+    return replace(proof, real=real, faults=tuple(faults))
+
+
 @keys_from(PlanOptions)
 class PlanStudy(Aimed, Surrounded, Loaded, Study):
     """A snap-free motion: to joint values, to a pose of the tip, along a curve, or follow-the-leader."""
@@ -170,6 +218,14 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
     entry: EntryPart | None = Field(None, description="allowed base poses; one is chosen")
     min_margin: NotNegative = Field(
         Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]
+    )
+    confidence: Positive | None = Field(
+        None,
+        gt=0.5,
+        lt=1,
+        description="probability with which the real robot must keep margin and clearance, by the "
+        "posterior of its file; estimated; default not required",
+        examples=["P"],
     )
     cut: CutPart | None = Field(None, description="section plane for plots of the obstacles")
     rates: RatesEntry = Field(default_factory=RatesEntry, description="rate and acceleration limits of the actuators")
@@ -202,22 +258,40 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
                 )
         return self
 
+    @model_validator(mode="after")
+    def _known_robot(self) -> Self:
+        check_confidence(self.confidence, self.robot)
+        return self
+
     def run(self, progress: Progress | None = None) -> Trajectory:
         """Plan the trajectory; raises SolveError if there is none, or none is found in time."""
         with rewording_joints(start=("start_deg", "start_mm"), goal=("goal_deg", "goal_mm")):
-            plan = self._plan(progress)
+            plan = self._kept_by_real_robot(progress)
         if self.cut is None:
             return plan
         plane = self.cut.plane(self.around)
         # The plane was given in the old base frame; the plan chose another one.
         return replace(plan, cut=plane if plan.entry is None else plane.seen_from(plan.entry.frame))
 
-    def _plan(self, progress: Progress | None) -> Trajectory:
+    def _kept_by_real_robot(self, progress: Progress | None) -> Trajectory:
+        """Plan with bounds on the real robot, repeated with more margin and clearance until it keeps both."""
+        margin, options = self.si("min_margin"), PlanOptions(**values(PlanOptions, self))
+        required, clearance = Required(margin, options.clearance, self.si("confidence")), options.clearance
+        for _ in range(ROUNDS):
+            plan = self._plan(progress, margin, replace(options, clearance=clearance))
+            proof = of_real_robot(plan.proof, plan.rotations, plan.translations, plan.obstacles, required)
+            if proof.faults == plan.proof.faults or proof.real is None:
+                return replace(plan, proof=proof)
+            margin = min(margin + MORE * max(0.0, required.margin - proof.real.margin[0]), MOST_MARGIN)
+            clearance += MORE * max(0.0, required.clearance - proof.real.clearance[0])
+        raise SolveError(f"no plan was found that the real robot keeps: {'; '.join(proof.faults)}", plan)
+
+    def _plan(self, progress: Progress | None, margin: float, options: PlanOptions) -> Trajectory:
         common: dict[str, Any] = {
             "obstacles": self.bodies,
-            "min_margin": self.si("min_margin"),
+            "min_margin": margin,
             "rate_limits": self.rates.build(),
-            "options": PlanOptions(**values(PlanOptions, self)),
+            "options": options,
         }
         robot, start, goal = self.robot, self.start, self.goal(self.around)
         # A goal modulo turns is moved into the limits by the planner.
@@ -374,6 +448,14 @@ class VerifyStudy(Surrounded, Loaded, Timed):
     tip_mm_per_s: Annotated[Positive | None, Typical(1e-4, 2.0)] = Field(
         None, description="largest tip speed; overrides the rates of the study; default no limit", examples=["V"]
     )
+    confidence: Positive | None = Field(
+        None,
+        gt=0.5,
+        lt=1,
+        description="probability with which the real robot must keep margin and clearance, by the "
+        "posterior of its file; estimated; default not required",
+        examples=["P"],
+    )
     study: Annotated[PlanStudy, in_file(load_plan_study, "a study of kind plan")] | None = Field(
         None,
         description="study of kind plan that supplies margin, obstacles, clearance, force, "
@@ -384,6 +466,7 @@ class VerifyStudy(Surrounded, Loaded, Timed):
     @model_validator(mode="after")
     def _rates_of_the_robot(self) -> Self:
         check_rates(self._requirements().rates, self.trajectory[1].robot)
+        check_confidence(self._requirements().confidence, self.trajectory[1].robot)
         return self
 
     def _requirements(self) -> VerifyStudy | PlanStudy:
@@ -416,4 +499,8 @@ class VerifyStudy(Surrounded, Loaded, Timed):
             max_force=required.si("max_tip_force_mN") or 0.0,
             load=required.external_load,
         )
+        asked = Required(
+            required.si("min_margin") or 0.0, required.si("clearance_mm") or 0.0, required.si("confidence")
+        )
+        proof = of_real_robot(proof, joints.rotations, joints.translations, required.bodies, asked)
         return VerifiedTrajectory(file, joints, proof, required.bodies)

@@ -21,6 +21,7 @@ from ..files.files import write_text
 from ..files.units import TO_MM
 from ..planning import ArmsPlan, Entry, PairProof, Proof, Trajectory
 from ..planning.trajectory import save_joint_trajectory, save_trajectory
+from ..robots.calibration import PathBounds
 from ..robots.file import save_robot
 from ..runs.plan_study import VerifiedTrajectory
 from ..stability import ASSUMING
@@ -104,6 +105,24 @@ FORCED = described(
     "max_force deflection",
 )
 
+
+def _real_text(real: PathBounds | None) -> str | None:
+    """Bounds on the real robot, as text."""
+    if real is None:
+        return None
+    near = [f" and clearance at least {x * TO_MM:.2f} mm" if np.isfinite(x) else "" for x in real.clearance]
+    each = zip(real.probabilities, real.margin, near, strict=True)
+    return "; ".join(f"{100 * p:g} %: margin at least {mu:.4f}{body}" for p, mu, body in each) + " (estimated)"
+
+
+REAL_PATH: tuple[Quantity[PathBounds], ...] = (
+    Quantity("probabilities", "probabilities of the bounds on the real robot; absent without posterior", optional=True),
+    Quantity("real_margin", "the margin of the real robot is at least this; 0 where it may snap",
+             lambda real: real.margin, optional=True),
+    Quantity("real_clearance_mm", "the real robot keeps this distance from obstacles; null without",
+             lambda real: real.clearance, optional=True),
+)  # fmt: skip
+
 PROOF = described(
     Proof,
     Quantity("proved", "true if all requirements are proved", lambda p: p.holds),
@@ -121,6 +140,8 @@ PROOF = described(
     Quantity("clearance_bound_mm", "lower bound on the distance between the checked instants"),
     "measured_clearance",
     *within(FORCED, lambda p: p.forced),
+    *within(REAL_PATH, lambda p: p.real),
+    line("real robot", lambda p: _real_text(p.real)),
     line(
         "largest rates",
         "{largest_rotation_rate_deg_per_s:.2f} deg/s, {largest_translation_rate_mm_per_s:.2f} mm/s; "

@@ -1,7 +1,7 @@
 """Comparison of the model with measured tips: registration of frames, errors, and effects that explain them."""
 
 from ..bodies.frames import RegistrationError
-from .certainty import RealRobots, Uncertainty, real_robots, uncertainty
+from .certainty import RealRobots, Uncertainty, path_bounds, real_robots, uncertainty
 from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_errors, validate
 from .effects import EFFECTS, KINDS, PER_RECORDING
 from .fitting import Estimate, Fit, FitOptions, fit
@@ -44,6 +44,7 @@ __all__ = [
     "estimate_forces",
     "fit",
     "group_errors",
+    "path_bounds",
     "real_robots",
     "register",
     "uncertainty",

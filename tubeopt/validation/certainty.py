@@ -13,7 +13,7 @@ the drives each z is another robot at other joint values.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Annotated, NamedTuple
 
@@ -21,15 +21,17 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
+from ..bodies.obstacles import Scene
 from ..display import Displayed
 from ..equilibrium.directions import PARAMETERS
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, without_unit_warnings
 from ..files.field_metadata import form, unit
+from ..inverse.arm_surface import ArmSurface
 from ..physics.shape import hat
 from ..robots.assembly import DIMENSIONS, dimensions_of
-from ..robots.calibration import Calibration
+from ..robots.calibration import Calibration, PathBounds
 from ..robots.robot import Robot
 from ..stability import snap_distance
 from ..typing import Array
@@ -49,6 +51,12 @@ RESHAPED = ("dead_length", "fade", "piece_curvature")
 # Steps of differences, in standard deviations: of numbers of a robot, which are nearly linear, of equilibria, and of
 # quantities with kinks.
 SMALL, STEP, SECANT = 1e-3, 0.05, 0.5
+
+# Largest change of a quantity in a step, of one that may become infinite.
+BOUND = 1e3
+
+# Configurations of a path at which real robots are solved: rows in equal steps of the joints.
+WAYPOINTS = 24
 
 # Steps of the search for the least margin; later ones change its third digit.
 SEARCH = 4
@@ -146,29 +154,29 @@ class RealRobots:
         follows = np.concatenate([-hat(e.tip_position), np.eye(3)], axis=1)
         return Slopes(tips @ self.factor + follows @ self.plate, margins @ self.factor)
 
-    def least(
-        self, quantity: Callable[[Real], float], joints: tuple[Array, Array], probabilities: Sequence[float]
-    ) -> Array:
-        """(len(probabilities),) bounds on a quantity, along its steepest descent.
+    def least(self, quantity: Callable[[Array], float], probabilities: Sequence[float]) -> Array:
+        """(len(probabilities),) bounds on a quantity of z (K,), along its steepest descent.
 
-        Where a robot has no such quantity, or does not exist, it is 0.
+        Where a robot does not exist, or has no such equilibrium, the quantity is 0.
         """
-        still = np.zeros(self.size)
 
         def value(z: Array) -> float:
             try:
-                return quantity(self.at(z, *joints))
+                return quantity(z)
             except (InputError, SolveError):
                 return 0.0
 
-        given = value(still)
-        descent = np.array([given - value(SECANT * row) for row in np.eye(self.size)])
+        given = value(np.zeros(self.size))
         # Infinite distances have no slope: the greatest loss is that of the robots that have none.
-        descent = np.nan_to_num(descent, nan=0.0, posinf=1e3, neginf=-1e3)
+        changed = [value(SECANT * row) for row in np.eye(self.size)]
+        descent = np.array([0.0 if x == given else np.clip(given - x, -BOUND, BOUND) for x in changed])
         size = float(np.linalg.norm(descent))
         if not size:
             return np.full(len(probabilities), given)
-        return np.array([min(given, value(scipy.special.ndtri(p) * descent / size)) for p in probabilities])
+        order = np.argsort(probabilities)
+        found = [value(scipy.special.ndtri(p) * descent / size) for p in np.array(probabilities)[order]]
+        # What a robot loses that is nearer it loses at higher probabilities too.
+        return np.minimum.accumulate([given, *found])[1:][np.argsort(order)]
 
 
 @lru_cache(maxsize=32)
@@ -244,7 +252,7 @@ def uncertainty(equilibrium: Equilibrium, probabilities: Sequence[float] = PROBA
     longest = np.sqrt(np.linalg.eigvalsh(covariance)[-1])
     distances = np.full(len(probabilities), np.nan)
     if e.load is None:
-        distances = reals.least(_snap_distance, joints, probabilities)
+        distances = reals.least(lambda z: _snap_distance(reals.at(z, *joints)), probabilities)
     return Uncertainty(
         tuple(probabilities),
         covariance,
@@ -299,5 +307,57 @@ def certificate_bounds(robot: Robot, certificate: Callable[[Robot, Array], float
     reals = real_robots(robot)
     if reals is None:
         return None
-    joints = np.zeros(robot.n_tubes), translations
-    return reals.least(lambda real: certificate(real.robot, real.translations), joints, PROBABILITIES)
+
+    def value(z: Array) -> float:
+        real = reals.at(z, np.zeros(robot.n_tubes), translations)
+        return certificate(real.robot, real.translations)
+
+    return reals.least(value, PROBABILITIES)
+
+
+def path_bounds(
+    first: Equilibrium,
+    rotations: Array,
+    translations: Array,
+    scene: Scene | None = None,
+    probabilities: Sequence[float] = PROBABILITIES,
+) -> PathBounds | None:
+    """Bounds on margin and clearance of the real robot along joint values (T, n) of the calibrated one.
+
+    Each real robot starts on the branch of the `first` equilibrium, and follows the path from row to row at the
+    readings of the drives. Bodies are in the frame of the registered plate. None without a posterior.
+
+    Raises:
+        InputError: a probability is not between 0.5 and 1.
+    """
+    reals = real_robots(first.robot)
+    check_probabilities(probabilities)
+    if reals is None or first.robot.posterior is None:
+        return None
+    moved = np.abs(np.diff(np.hstack([rotations, 20.0 * translations]), axis=0)).max(1)
+    travelled = np.append(0.0, np.cumsum(moved))
+    rows = np.unique(np.searchsorted(travelled, np.linspace(0, travelled[-1], WAYPOINTS)))
+    path = rotations[rows], translations[rows]
+
+    @lru_cache(maxsize=4 * reals.size)
+    def least(z: tuple[float, ...]) -> tuple[float, float]:
+        real, near = reals.at(np.array(z), *path), first
+        turn, shift = np.split(reals.plate @ np.array(z), 2)
+        matrix = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
+        margin, clearance = np.inf, np.inf
+        for alpha, beta in zip(real.rotations, real.translations, strict=True):
+            near = forward_kinematics(real.robot, alpha, beta, load=first.load, start=near)
+            margin = min(margin, near.margin)
+            if margin <= 0:
+                return 0.0, 0.0
+            if scene is not None:
+                arm = replace(near.arm, position=near.position @ matrix.T + shift, frame=matrix @ near.frame)
+                clearance = min(clearance, ArmSurface(replace(near, arm=arm)).clearance(scene))
+        return margin, clearance
+
+    margins = reals.least(lambda z: least(tuple(z.tolist()))[0], probabilities)
+    clearances = np.full(len(margins), np.inf)
+    if scene is not None and scene.bodies:
+        reserve = scipy.special.ndtri(probabilities) * first.robot.posterior.misfit
+        clearances = reals.least(lambda z: least(tuple(z.tolist()))[1], probabilities) - reserve
+    return PathBounds(tuple(probabilities), tuple(margins.tolist()), tuple(clearances.tolist()))
