@@ -199,10 +199,8 @@ def test_plans_and_checks_keep_their_bounds(tmp_path: Path) -> None:
     )  # fmt: skip
     robot_of.save(tmp_path / "robot.yaml")
     x, y, z = forward_kinematics(robot_of, np.radians([91.5, 0.0])).tip_position.tolist()
-    common = {
-        "obstacles": [{"kind": "sphere", "centre_mm": [1e3 * x, 1e3 * y, 1e3 * z + 7], "radius_mm": 5}], "clearance_mm": 0.5,
-    }  # fmt: skip
-    question = {"kind": "plan", "robot": "robot.yaml", "goal_deg": [183, 0], **common}
+    ball = {"kind": "sphere", "centre_mm": [1e3 * x, 1e3 * y, 1e3 * z + 7], "radius_mm": 5}
+    question = {"kind": "plan", "robot": "robot.yaml", "goal_deg": [183, 0], "obstacles": [ball], "clearance_mm": 0.5}
     (tmp_path / "plan.yaml").write_text(to_yaml(question, "A plan. Source: a test."))
     plain = load_plan_study(tmp_path / "plan.yaml").run()
     (tmp_path / "plan.yaml").write_text(to_yaml(question | {"confidence": 0.999}, "A plan. Source: a test."))
