@@ -159,7 +159,7 @@ class Required:
     clearance: float
     """Smallest distance from obstacles, m."""
     confidence: float | None
-    """Probability with which it must keep both; None requires nothing."""
+    """Probability of both; None requires nothing."""
 
 
 def check_confidence(confidence: Any, robot: Robot) -> None:
@@ -223,8 +223,8 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
         None,
         gt=0.5,
         lt=1,
-        description="probability with which the real robot must keep margin and clearance, by the "
-        "posterior of its file; estimated; default not required",
+        description="the real robot must keep margin and clearance at this probability, estimated from "
+        "the posterior of its file; default not required",
         examples=["P"],
     )
     cut: CutPart | None = Field(None, description="section plane for plots of the obstacles")
@@ -452,8 +452,8 @@ class VerifyStudy(Surrounded, Loaded, Timed):
         None,
         gt=0.5,
         lt=1,
-        description="probability with which the real robot must keep margin and clearance, by the "
-        "posterior of its file; estimated; default not required",
+        description="the real robot must keep margin and clearance at this probability, estimated from "
+        "the posterior of its file; default not required",
         examples=["P"],
     )
     study: Annotated[PlanStudy, in_file(load_plan_study, "a study of kind plan")] | None = Field(
