@@ -52,7 +52,7 @@ def export(study: ExportEntry, output: Output, robot: str) -> None:
     """Write a C99 library of the robot: forward kinematics, derivatives, margin, compliance, servo, snap guard.
 
     It allocates no memory, has no global state, and every call takes bounded time. It supports up to six tubes,
-    concentric or eccentric, with one arc or made of pieces. --loads adds loads for concentric robots.
+    concentric, eccentric or a bundle. --loads adds loads for concentric robots.
     """
     folder = Path(study.c)
     can_be_saved(output.out)

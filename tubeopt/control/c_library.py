@@ -26,7 +26,7 @@ from ..arguments import typed
 from ..block.transcription.mesh import BEND_PER_ELEMENT, LOADED_WAVES, loaded_counts
 from ..constants import GRAVITY
 from ..display import Displayed
-from ..equilibrium.kinematics import forward_kinematics
+from ..equilibrium.kinematics import TOLERANCE, SolveRequest, forward_kinematics, unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
@@ -34,16 +34,19 @@ from ..inverse.breakpoint_order import breakpoints
 from ..inverse.joints import JointSpace, joint_space
 from ..physics.certificate import coupling_rate_function
 from ..robots.assembly import LENGTH_ROUND_OFF
+from ..robots.eccentric import BundleRobot
 from ..robots.lengthwise import lengthwise
 from ..robots.limits import FAR, MOST_TURN
 from ..robots.load import Load, masses
 from ..robots.order import SAME_END, demands
 from ..robots.robot import Robot, is_general
 from ..solvers.compiled.binding import piece_sizes, piece_tables, tube_rows
+from ..solvers.compiled.bundle import bundle_source
 from ..solvers.compiled.constants import piece_constants
 from ..solvers.compiled.library import CAPACITY, MOST_CUTS, MOST_TUBES, Capacity, kernel_text
 from ..solvers.compiled.loaded import MOST_PIECES, loaded_text
 from ..solvers.compiled.text import HERE, c_tables, defined, numbers, with_included
+from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array
 from .command import MOST_NUMBER, ServoOptions
 
@@ -83,7 +86,7 @@ class CLibrary(Displayed):
 
 @typed
 def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loads: bool = False) -> CLibrary:
-    """The C library of a robot: of concentric tubes, of one arc each or made of pieces, or of tubes off the centreline.
+    """The C library of a robot: of concentric tubes, of one arc each or made of pieces, of eccentric ones, or a bundle.
 
     Args:
         name: what the comments call it.
@@ -91,17 +94,15 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         loads: include tip force and weight.
 
     Raises:
-        InputError: a bundle, more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the
-            centreline, or of unknown weight.
+        InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the centreline, or of
+            unknown weight.
         SolveError: no stable equilibrium is found for the answers that its test knows.
     """
-    if not robot.fixed_sections:
-        raise InputError("kind is bundle; there is no C library of it, but of concentric and eccentric ones")
     if robot.n_tubes > MOST_TUBES:
         raise InputError(f"robot has {robot.n_tubes} tubes; a C library is made of at most {MOST_TUBES}")
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
         raise InputError(f"prefix is {prefix!r}; it must be lower-case letters, digits and _, starting with a letter")
-    space, centred = joint_space(robot), not robot.assembly(robot.home_translations).eccentric
+    space, centred = joint_space(robot), _is_centred(robot)
     extra = {"tubeopt_load.c": loads_source(robot, name, _shifts(space))} if loads else {}
     cases = _cases(space)
     texts = {
@@ -115,6 +116,11 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
     files = {file.replace("tubeopt", prefix): _renamed(text, prefix) for file, text in (texts | extra).items()}
     files[f"{prefix}_robot.urdf"] = robot_description(robot)
     return CLibrary(robot, name, prefix, files, loads)
+
+
+def _is_centred(robot: Robot) -> bool:
+    """True if all tubes are concentric."""
+    return robot.fixed_sections and not robot.assembly(robot.home_translations).eccentric
 
 
 def header_text(name: str, n: int, *, loads: bool, centred: bool = True) -> str:
@@ -153,9 +159,24 @@ def _filled(file: str, **values: str) -> str:
 
 
 def _source(robot: Robot, space: JointSpace, name: str) -> str:
-    eccentric = robot.assembly(robot.home_translations).eccentric
-    kernel = kernel_text(robot.n_tubes, eccentric, _room(space))
+    if isinstance(robot, BundleRobot):
+        kernel = _bundle_kernel_text(robot.n_tubes)
+    else:
+        kernel = kernel_text(robot.n_tubes, not _is_centred(robot), _room(space))
     return library_text(name, kernel, _data(robot, space))
+
+
+def _bundle_kernel_text(n: int) -> str:
+    """C text of the kernel of bundles, with that of translations and small steps."""
+    constants = {
+        "SLOPES": 0,
+        "ROUND_OFF_LENGTH": LENGTH_ROUND_OFF,
+        "TOLERANCE": TOLERANCE,
+        "LARGEST_TURN": LARGEST_TURN,
+        "LARGEST_SHIFT": LARGEST_SHIFT,
+    }
+    shared = [(HERE / name).read_text() for name in ("curve.c", "parts.c")]
+    return "".join([bundle_source(n), defined(constants), *shared, (C_FOLDER / "sheath.c").read_text()])
 
 
 def library_text(name: str, kernel: str, numbers: str) -> str:
@@ -193,13 +214,15 @@ def _data(robot: Robot, space: JointSpace) -> str:
     """Tubes, joints and limits as C."""
     n, m = robot.n_tubes, len(space.lower)
     carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
-    home = robot.assembly(robot.home_translations)
     first = [0] * n + [group[0] for group in space.carriages]
     # Where the breakpoints of each carriage are at its translation 0.
     zero = space.offset[n:] - robot.home_translations
-    breaks = [(c, s + zero[group[0]]) for c, group in enumerate(space.carriages) for s in breakpoints(home, group)]
+    breaks = []
+    if robot.fixed_sections:  # of a bundle the places where sections end follow from its bending
+        home = robot.assembly(robot.home_translations)
+        breaks = [(c, s + zero[group[0]]) for c, group in enumerate(space.carriages) for s in breakpoints(home, group)]
     tables: dict[str, ArrayLike] = {
-        "BREAK_AT": [s for _, s in breaks],
+        "BREAK_AT": [s for _, s in breaks] or [0.0],
         "SPREAD": space.spread,
         "OFFSET": space.offset,
         "LOWER": space.lower,
@@ -213,14 +236,17 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "JOINTS": m,
         "ORDERS": len(space.row_lower),
         "BREAKS": len(breaks),
-        "MOST_ROWS": f"({rows}{'' if home.eccentric else ' + TUBEOPT_MOST_CONTACTS'})",
+        "MOST_ROWS": f"({rows}{' + TUBEOPT_MOST_CONTACTS' if _is_centred(robot) else ''})",
         "LONGEST_TUBE": space.length,
     }
     lines = [*(f"#define {key} {value}" for key, value in defines.items()), c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]
-    lines += [f"static const int BREAK_CARRIAGE[] = {{{', '.join(str(c) for c, _ in breaks)}}};"]
+    lines += [f"static const int BREAK_CARRIAGE[] = {{{', '.join(str(c) for c, _ in breaks) or 0}}};"]
     lines += [f"static const int FIRST[] = {{{', '.join(map(str, first))}}};"]
-    lines += [pieces_text(robot), f"static const Tubes ROBOT = {tubes_text(robot)};\n\n"]
+    if isinstance(robot, BundleRobot):
+        lines += [f"static const Robot ROBOT = {_bundle_text(robot)};\n\n"]
+    else:
+        lines += [pieces_text(robot), f"static const Tubes ROBOT = {tubes_text(robot)};\n\n"]
     return "\n".join(lines)
 
 
@@ -241,6 +267,11 @@ def _cases(space: JointSpace) -> list[Array]:
     found = []
     for q in _configurations(space):
         rotations, shift = space.split(q)
+        if (
+            not space.robot.fixed_sections
+            and unloaded(space.robot, np.array(rotations), np.array(shift), None, SolveRequest()) is None
+        ):
+            continue  # the order of the ends of a bundle is left to the general solver
         try:
             pose = forward_kinematics(space.robot, rotations, shift)
         except SolveError:
@@ -266,6 +297,19 @@ def tubes_text(robot: Robot) -> str:
     return f"{{{rows}, {int(home.eccentric)}, &PIECES}}"
 
 
+def _bundle_text(robot: BundleRobot) -> str:
+    """The C struct Robot of a bundle."""
+    names = ("bending_stiffness", "torsional_stiffness", "curvature")
+    rows: list[ArrayLike] = [[float(getattr(tube, name)) for tube in robot.tubes] for name in names]
+    lever = robot.axes[:, ::-1] * [1.0, -1.0]
+    lengths = [[float(getattr(tube, f"{name}length")) for tube in robot.tubes] for name in ("straight_", "curved_", "")]
+    texts = ", ".join(f"{{{numbers(row)}}}" for row in [*rows, robot.offset, robot.angle])
+    levers = ", ".join(f"{{{numbers(row)}}}" for row in lever)
+    return (
+        f"{{{texts}, {{{levers}}}, {', '.join(f'{{{numbers(row)}}}' for row in lengths)}, {robot.sheath_stiffness!r}}}"
+    )
+
+
 def pieces_text(robot: Robot) -> str:
     """The C struct PIECES of the tubes of a robot, and its tables."""
     arrays = piece_tables(lengthwise(robot.tubes))
@@ -285,9 +329,9 @@ BEARABLE, SPARE = 10.0, 1.25
 
 def loads_source(robot: Robot, name: str, shifts: Sequence[Array]) -> str:
     """The C text of `tubeopt_load.c`; `shifts`: translations (n,) of some configurations."""
+    if not _is_centred(robot):
+        raise InputError("loads are requested; loads on eccentric robots and bundles are not supported")
     home = robot.assembly(robot.home_translations)
-    if home.eccentric:
-        raise InputError("loads are requested; loads on eccentric robots are not supported")
     mass, n = masses(robot.tubes, Load(gravity=(0.0, 0.0, -GRAVITY))), robot.n_tubes
     pieces = _pieces_room(robot, shifts) if home.general else MOST_PIECES
     data = f"{pieces_text(robot)}static const Tubes ROBOT = {tubes_text(robot)};\n"
@@ -383,7 +427,8 @@ class TubeLink(NamedTuple):
 
 def tube_links(robot: Robot) -> list[TubeLink]:
     """The tubes of a robot as rigid links; tubes off the centreline have the radius of the bundle."""
-    offset, links = robot.assembly(robot.home_translations).offset, []
+    home = robot.offset if isinstance(robot, BundleRobot) else robot.assembly(robot.home_translations).offset
+    offset, links = np.asarray(home), list[TubeLink]()
     for i, tube in enumerate(robot.tubes):
         cuts = np.linspace(0.0, tube.length, 1 + max(1, round(tube.length / LINK))).tolist()
         radius = tube.outer_diameter / 2 + float(offset[i])

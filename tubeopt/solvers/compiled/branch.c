@@ -1,15 +1,6 @@
 /* Steps along a branch of equilibria: what a small one is, and whether it stays on the branch. */
 
-/* Steps of ordinary length that a motion of rotations (n) and translations (n) takes, for an arm of a length. */
-static double parts_of(const double *alpha, const double *shift, const double *to_alpha, const double *to_shift, double length) {
-    double most = 1;
-    for (int i = 0; i < N; i++) {
-        most = fmax(most, fabs(to_alpha[i] - alpha[i]) / LARGEST_TURN);
-        most = fmax(most, fabs(to_shift[i] - shift[i]) / (LARGEST_SHIFT * length));
-    }
-    return ceil(most - 1e-9);
-}
-
+#include "parts.c"
 /* An equilibrium as a guess after turns (n) of the bases, or NULL without, from translations (n) there. */
 static Guess guess_of(const Answer *at, const double *turn, const double *shift) {
     static const double none[N];
