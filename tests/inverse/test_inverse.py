@@ -41,6 +41,7 @@ from tubeopt.inverse.search import PathResult, find_path
 from tubeopt.inverse.task import Task
 from tubeopt.robots.limits import JointLimits
 from tubeopt.robots.robot import Robot
+from tubeopt.solvers.compiled.bundle import bundle_kernel
 from tubeopt.solvers.compiled.library import cache_directory
 
 ETR = tubeopt.load_robot(CONFIGS / "thesis_etr.yaml")
@@ -471,7 +472,8 @@ class TestStarts:
         solved: list[int] = []
         solve = solved_batch
         monkeypatch.setattr(
-            "tubeopt.inverse.multistart.solved_batch", lambda r, a, d: (solved.append(len(a)), solve(r, a, d))[1]
+            "tubeopt.inverse.multistart.solved_batch",
+            lambda r, a, d, **k: (solved.append(len(a)), solve(r, a, d, **k))[1],
         )
         whole = start_table(space, 64)
         assert sum(solved) == 64 - part.tried
@@ -681,3 +683,29 @@ def test_derivatives_differ_to_either_side_only_where_breakpoints_coincide() -> 
         d = corner.home_translations + shift * np.arange(corner.n_tubes)[::-1]
         at = posture_of(space, forward_kinematics(corner, corner.home_rotations + [0.3, 1.0, 2.0][: corner.n_tubes], d))
         assert at.two_sided == differ
+
+
+def test_six_tubes_beside_each_other_are_aimed(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert isinstance(SEGMENTED, tubeopt.SegmentedEccentricRobot)
+    robot = replace(SEGMENTED, segments=SEGMENTED.segments[:2], joint_limits=None).bundle()
+    if bundle_kernel(6) is None:
+        pytest.skip("no compiler")
+
+    def never(*_: Any, **__: Any) -> None:
+        raise AssertionError("the general solver takes half a second where ends stay together")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tubeopt.equilibrium.batch.forward_kinematics", never)
+        table = build_table(joint_space(robot), 64)
+    assert table.complete
+    assert 32 < len(table.q) < 64
+    for row, tip, margin in zip(table.q[:5], table.tip, table.margin, strict=False):
+        joint = joint_space(robot).joint(row)
+        pose = forward_kinematics(robot, joint[:6], joint[6:])
+        assert np.linalg.norm(pose.tip_position - tip) < 1e-9
+        assert pose.margin == pytest.approx(margin, abs=1e-9)
+    for turns in ([0.4, 2.0, -1.0, -0.3, 1.0, 2.5], [2.5, 0.3, -2.0, 1.0, -0.4, 0.2]):
+        pose = robot.fk(turns, [0.035, 0.035, 0.035, -0.01, -0.01, -0.01])
+        answer = robot.ik(pose.tip_position, direction=pose.tip_rotation[:, 2])
+        check_answer(answer, robot)
+        assert answer.equilibrium.tip_rotation[:, 2] == pytest.approx(pose.tip_rotation[:, 2], abs=1e-7)

@@ -24,7 +24,7 @@ from ..solvers.compiled.loaded import solve_many_loaded_compiled
 from ..solvers.settings import NEWTON
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, StatusEnum
-from .kinematics import TOLERANCE, forward_kinematics, largest_error
+from .kinematics import TOLERANCE, SolveRequest, forward_kinematics, largest_error, unloaded
 from .member import sample_arms
 from .problem import check_load, loaded_rules
 
@@ -157,7 +157,7 @@ def forward_kinematics_batch(  # noqa: PLR0913
     return solved_batch(robot, alpha, shift, load, tolerance, workers=workers, raises=raises, progress=progress)
 
 
-def solved_batch(
+def solved_batch(  # noqa: PLR0913
     robot: Robot,
     alpha: Array,
     shift: Array,
@@ -166,12 +166,14 @@ def solved_batch(
     *,
     workers: int = 1,
     raises: bool = False,
+    quick: bool = False,
     progress: Callable[[int], object] | None = None,
 ) -> EquilibriumBatch:
     """Batch at checked rotations and translations (N, n).
 
     Args:
         raises: raise SolveError for the first configuration without an equilibrium.
+        quick: count configurations without a load that the compiled kernel does not solve as failed.
     """
     table = np.full((len(alpha), 17 + robot.n_tubes), np.nan)
     compliance = np.full((len(alpha) if load is not None else 0, 6, 6), np.nan)
@@ -185,7 +187,12 @@ def solved_batch(
             unsolved = _solve_loaded_rows(robot, alpha, shift, load, rows, table, compliance, tolerance)
         for row in unsolved.tolist():
             try:
-                e = forward_kinematics(robot, alpha[row], shift[row], load=load, tolerance=tolerance)
+                if quick:
+                    e = unloaded(robot, alpha[row], shift[row], None, SolveRequest(tolerance=tolerance))
+                    if e is None:
+                        raise SolveError("the compiled kernel found no equilibrium")
+                else:
+                    e = forward_kinematics(robot, alpha[row], shift[row], load=load, tolerance=tolerance)
             except SolveError as error:
                 table[row], compliance[row : row + 1] = np.nan, np.nan  # without a load there is no such row
                 failures.append((row, str(error)))

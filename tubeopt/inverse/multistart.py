@@ -22,7 +22,9 @@ from ..display import in_full
 from ..equilibrium.batch import solved_batch
 from ..errors import InputError, SolveError
 from ..files.files import atomic_write
+from ..robots.robot import Robot
 from ..solvers.compiled.binding import kernel_of
+from ..solvers.compiled.bundle import MOST_TUBES, bundle_kernel
 from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus
@@ -102,12 +104,14 @@ def build_table(
     n, m = space.robot.n_tubes, len(space.lower)
     if partial is None:
         partial = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, complete=False)
+    # Where ends of bundles stay together the general solver takes half a second, the kernel milliseconds.
+    quick = not space.robot.fixed_sections and _compiled(space.robot)
     parts, tried = [partial.arrays], partial.tried
     count = 8  # configurations between two checks of the clock, more where these are quick
     while tried < size and not clock.over:
         start_time, batch = clock.seconds, samples[tried : tried + count]
         joint = space.joint(batch)
-        solved = solved_batch(space.robot, joint[:, :n], joint[:, n:])
+        solved = solved_batch(space.robot, joint[:, :n], joint[:, n:], quick=quick)
         # Rows without an equilibrium have margin NaN: as 0 they are below MIN_MARGIN.
         stable = solved.converged & (np.nan_to_num(solved.margin) >= MIN_MARGIN)
         parts.append(
@@ -146,8 +150,8 @@ def _by_mirror(space: JointSpace, q: Array) -> Array:
 
 def start_table(space: JointSpace, size: int | None = None, clock: Clock | None = None) -> StartTable:
     """Table of a joint space, from the cache on disk, or built and stored there."""
-    compiled = kernel_of(space.robot) is not None
-    size = size or ((SIZE if len(space.lower) <= MANY else SIZE_OF_MANY) if compiled else SIZE_UNCOMPILED)
+    fewer = SIZE_OF_MANY if len(space.lower) > MANY or not space.robot.fixed_sections else SIZE
+    size = size or (fewer if _compiled(space.robot) else SIZE_UNCOMPILED)
     path = cache_directory() / f"inverse-{_key(space, size)}.npz"
     stored = _read(path, len(space.lower), size)
     if stored is not None and stored.complete:
@@ -162,6 +166,13 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
     except InputError:
         pass  # Without a place to keep it, the table is built anew in the next process: slower, not wrong.
     return table
+
+
+def _compiled(robot: Robot) -> bool:
+    """True if a robot has a compiled kernel."""
+    if robot.fixed_sections:
+        return kernel_of(robot) is not None
+    return robot.n_tubes <= MOST_TUBES and bundle_kernel(robot.n_tubes) is not None
 
 
 def _key(space: JointSpace, size: int) -> str:
