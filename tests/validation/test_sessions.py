@@ -161,7 +161,7 @@ def ramped(tube: Tube, dead: float, fade: float) -> Tube:
 
 
 def test_the_heated_shape_is_recovered_and_its_uncertainty_is_reported(tmp_path: Path) -> None:
-    """Ramps by functions of arc length against arcs: 16 and 10 mm of fade behind 4 and 3 mm that stayed straight."""
+    """Ramps as functions of arc length are recovered: 16 and 10 mm of fade behind 4 and 3 mm that stayed straight."""
     inner, outer = robot().tubes
     true = replace(robot(), tubes=(ramped(inner, 4 * MM, 16 * MM), ramped(outer, 3 * MM, 10 * MM)))
     truth = {"dead_length_1": 4 * MM, "dead_length_2": 3 * MM, "fade_1": 16 * MM, "fade_2": 10 * MM, "curvature": 1.0}

@@ -94,15 +94,6 @@ class SampledJointPath:
         longest = max(tube.length for tube in self.robot.tubes)
         return float(change[:n].max()), float(change[n:].max()) / longest
 
-    def rows(self) -> list[Array]:
-        """Joint values (2n,) after steps of at most `largest_step`, with one at each of the `events`."""
-        step, t, rows = self.largest_step(), 0.0, []
-        for event in self.events():
-            while t < event:
-                t = event if t + step >= event - 1e-12 else t + step
-                rows.append(np.concatenate(self.at(t)))
-        return rows
-
     def events(self, cuts: ArrayLike = ()) -> list[float]:
         """Fractions of the path with coinciding breakpoints, or one at the plate or at `cuts` (m); the last is 1.
 
@@ -116,7 +107,12 @@ class SampledJointPath:
         points, moved = np.array(assembly.breakpoints), rates[assembly.breakpoint_tubes]
         fixed = np.append(cuts, 0.0)
         ends = np.array([np.concatenate([each, fixed]) for each in (points, points + moved)])
-        return [*(t for t in meetings(ends).get(0, np.zeros(0)).tolist() if 1e-9 < t < 1 - 1e-9), 1.0]
+        return _inner(meetings(ends).get(0))
+
+
+def _inner(fractions: Array | None) -> list[float]:
+    """Fractions inside of a path, and 1."""
+    return [*(t for t in ([] if fractions is None else fractions.tolist()) if 1e-9 < t < 1 - 1e-9), 1.0]
 
 
 def meetings(points: Array) -> dict[int, Array]:
@@ -130,7 +126,8 @@ def meetings(points: Array) -> dict[int, Array]:
     result: dict[int, Array] = {}
     crossed = (before > LENGTH_ROUND_OFF) & (after < -LENGTH_ROUND_OFF)
     for k in np.flatnonzero(crossed.any((1, 2))):
-        a, passed = before[k][crossed[k]], (before - after)[k][crossed[k]]
+        a = before[k][crossed[k]]
+        passed = a - after[k][crossed[k]]
         order, distinct = np.argsort(a / passed), list[float]()
         for x, same in zip((a / passed)[order].tolist(), (LENGTH_ROUND_OFF / passed)[order].tolist(), strict=True):
             if not distinct or x - distinct[-1] > same:
@@ -140,20 +137,26 @@ def meetings(points: Array) -> dict[int, Array]:
 
 
 def steps_along(robot: Robot, joints: Array) -> tuple[Array, Index]:
-    """Joint values (S, 2n): rows (T, 2n) with `SampledJointPath.rows` between them, and the indices (T,) of rows."""
+    """Joint values (S, 2n) after steps along rows (T, 2n), and the indices (T,) of the rows.
+
+    Steps are those of `SampledJointPath.largest_step`, with one at each meeting of breakpoints.
+    """
     n = joints.shape[1] // 2
     home = robot.assembly(robot.home_translations)
     moved = joints[:, n:] - robot.home_translations
     points = np.array(home.breakpoints) + moved[:, home.breakpoint_tubes]
     turn, shift = (np.abs(np.diff(part, axis=0)).max(1) for part in (joints[:, :n], joints[:, n:]))
     longest = LARGEST_SHIFT * max(tube.length for tube in robot.tubes)
-    several = (turn > LARGEST_TURN) | (shift > longest)
-    several[list(meetings(np.concatenate([points, np.zeros((len(joints), 1))], axis=1)))] = True
+    met = meetings(np.concatenate([points, np.zeros((len(joints), 1))], axis=1)) if robot.fixed_sections else {}
     rows = [joints[:1]]
-    for k, split in enumerate(several.tolist()):
-        rows.append(
-            np.array(SampledJointPath(robot, joints[k], joints[k + 1]).rows()) if split else joints[k + 1 : k + 2]
-        )
+    for k, step in enumerate((1 / np.maximum(np.maximum(turn / LARGEST_TURN, shift / longest), 1.0)).tolist()):
+        fractions, t = list[float](), 0.0
+        for event in _inner(met.get(k)):
+            while t < event:
+                t = event if t + step >= event - 1e-12 else t + step
+                fractions.append(t)
+        between = joints[k] + np.array(fractions)[:, None] * (joints[k + 1] - joints[k])
+        rows.append(np.concatenate([between[:-1], joints[k + 1 : k + 2]]))
     return np.concatenate(rows), np.cumsum([len(part) for part in rows]) - 1
 
 

@@ -20,7 +20,7 @@ from ..robots.assembly import DIMENSIONS, dimensions_of
 from ..robots.calibration import Calibration
 from ..robots.concentric import ConcentricRobot, Friction, friction_of
 from ..robots.eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
-from ..robots.pieces import Piece
+from ..robots.pieces import Piece, Series, at
 from ..robots.robot import Robot, drawn_clearance
 from ..robots.tubes import Tube
 from ..typing import Array
@@ -177,19 +177,12 @@ TUBES = ("friction", "clearance", "piece_curvature", "dead_length", "fade", *DIM
 MOUNTS = ("plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
 
 
-# Jumps of the staircase that stands for a ramp of curvature. Beside ramps of 16 and 10 mm tips are off by up to
-# 0.095 mm with two, 0.043 mm with three.
-RAMP_JUMPS = 3
-
 # Lengths of pieces closer than this, m, are one: far below any dead length, far above round-off.
 SAME_LENGTH = 1e-9
 
 
 def heated_pieces(length: float, curvature: float, dead: float, fade: float) -> tuple[Piece, ...]:
     """Pieces of a curved part with straight ends of length `dead` and linear ramps of length `fade` next to them, m.
-
-    Each ramp is replaced by a staircase with jumps at the Gauss-Legendre points, as high as their weights. Few arcs
-    then have the same first moments as the ramp.
 
     Raises:
         InputError: straight ends and ramps are longer than the curved part.
@@ -199,31 +192,39 @@ def heated_pieces(length: float, curvature: float, dead: float, fade: float) -> 
             f"dead length and fade are {1e3 * dead:g} and {1e3 * fade:g} mm; together they must be at most half the "
             f"curved length of {1e3 * length:g} mm"
         )
-    points, weights = np.polynomial.legendre.leggauss(RAMP_JUMPS)
-    rise = dead + fade * (1 + points) / 2
-    places = np.concatenate([[0.0], rise, length - rise[::-1], [length]])
-    jumps = np.concatenate([[0.0], weights / 2, -weights[::-1] / 2])
-    arcs = zip(np.diff(places).tolist(), (curvature * np.cumsum(jumps)).round(12).tolist(), strict=True)
-    return tuple(Piece(part, bent) for part, bent in arcs if part > 0)
+    ramp, rest = (curvature / 2, curvature / 2), length - 2 * (dead + fade)
+    parts = [
+        (dead, 0.0),
+        (fade, Series((0.0, fade), (ramp,)) if fade else 0.0),
+        (rest, curvature),
+        (fade, Series((0.0, fade), ((ramp[0], -ramp[1]),)) if fade else 0.0),
+        (dead, 0.0),
+    ]
+    return tuple(Piece(part, (bend, 0.0, 0.0)) for part, bend in parts if part > 0)
 
 
 def heated_shape(tube: Tube) -> tuple[float, float] | None:
     """Dead length and fade, m, of a tube made of the pieces of `heated_pieces`; None for other tubes."""
-    pieces, x = tube.pieces, np.polynomial.legendre.leggauss(RAMP_JUMPS)[0]
-    if len(pieces) not in (3, 2 * RAMP_JUMPS + 1):
+    pieces = tube.pieces
+    if len(pieces) not in (3, 5):
         return None
-    fade = 0.0 if len(pieces) == 3 else 2 * math.fsum(piece.length for piece in pieces[1:RAMP_JUMPS]) / (x[-1] - x[0])
-    dead = max(0.0, pieces[0].length - fade * (1 + x[0]) / 2)
+    fade = next((piece.length for piece in pieces if isinstance(piece.precurvature[0], Series)), 0.0)
+    dead = 0.0 if len(pieces) == 3 and fade else pieces[0].length
     try:
         again = heated_pieces(tube.curved_length, bend_of(pieces), dead, fade)
     except InputError:
         return None
     alike = len(again) == len(pieces) and all(
         replace(a, length=b.length, precurvature=b.precurvature) == b
-        and np.allclose([a.length, bend_of([a])], [b.length, bend_of([b])], rtol=1e-9, atol=SAME_LENGTH)
+        and np.allclose(_ends(a), _ends(b), rtol=1e-9, atol=SAME_LENGTH)
         for a, b in zip(again, pieces, strict=True)
     )
     return (float(dead), float(fade)) if alike else None
+
+
+def _ends(piece: Piece) -> list[float]:
+    """Length of a piece and its precurvature at both ends and in the middle."""
+    return [piece.length, *(at(q, s) for q in piece.precurvature for s in (0.0, piece.length / 2, piece.length))]
 
 
 def bend_of(pieces: Sequence[Piece]) -> float:
