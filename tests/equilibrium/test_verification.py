@@ -210,8 +210,9 @@ LOADS = {
 def test_bundles_are_confirmed(name: str) -> None:
     """Curves that begin in front of the plate and behind it, and a sheath; one end beyond the others' own lengths."""
     robot = load_robot("configs/bundles/steerable_sheath.yaml")
-    pose = robot.fk(np.radians([0, 40, 0]), [-0.02, 0.01, -0.01], load=LOADS[name])
-    check = checked(pose)
+    pose = forward_kinematics(robot, np.radians([0, 40, 0]), [-0.02, 0.01, -0.01], load=LOADS[name], verify=True)
+    check = pose.verification
+    assert check is not None
     assert check.tip_position < 1e-10
     assert check.tip_rotation < 1e-8
     assert check.rotation < 1e-9

@@ -517,8 +517,8 @@ def forward_kinematics(  # noqa: PLR0913
     solver = method_of(method, load, discretisation)
     positive("tolerance", tolerance)
     guess = None if start is None else _start_of(robot, start, tolerance)
-    if not robot.fixed_sections and (solver.name != "newton" or discretisation != DEFAULT_DISCRETISATION or verify):
-        raise InputError("kind is bundle; its equilibria have the method newton, the default mesh and no verification")
+    if not robot.fixed_sections and (solver.name != "newton" or discretisation != DEFAULT_DISCRETISATION):
+        raise InputError("kind is bundle; its equilibria have the method newton and the default mesh")
     if not robot.fixed_sections or len(robot.moving_together) < robot.n_tubes:
         _check_carriages(robot, translation)
     request = SolveRequest(solver, tolerance, start_time)
