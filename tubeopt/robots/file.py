@@ -43,8 +43,9 @@ DEG_PER_MM, N_MM2 = UNITS["deg_per_mm"], UNITS["N_mm2"]
 # Typical radius and pitch of a piece or a helix, m.
 RADIUS = PITCH = Typical(5e-4, 10.0)
 
-# A stiffness outside these multiples of that of the cross-section has a wrong unit.
-MIN_STIFFNESS_RATIO, MAX_STIFFNESS_RATIO = 1e-4, 10.0
+# A stiffness outside these multiples of that of the cross-section has a wrong unit. A drive shaft beside the tube, or a
+# braid, may make it torsionally rigid; numbers in N m^2 are off by 1e6.
+MIN_STIFFNESS_RATIO, MAX_STIFFNESS_RATIO = 1e-4, {"bending": 10.0, "torsional": 1e4}
 
 COLUMNS = ("arc_length_mm", "curvature_x_per_m", "curvature_y_per_m")
 # Columns of a table of precurvature; the twist may be left out.
@@ -232,10 +233,11 @@ def _quantity(entry: Decimal | SeriesEntry, unit: Decimal) -> Quantity:
 
 def check_stiffness(name: str, value: float, of_section: float) -> None:
     """Raise InputError if a stiffness is implausible for a cross-section of stiffness `of_section`, both N m^2."""
-    if not MIN_STIFFNESS_RATIO * of_section <= value <= MAX_STIFFNESS_RATIO * of_section:
+    most = MAX_STIFFNESS_RATIO[name.partition("_")[0]]
+    if not MIN_STIFFNESS_RATIO * of_section <= value <= most * of_section:
         raise InputError(
             f"{name} is {value * 1e6:.10g}; the cross-section and material give {of_section * 1e6:.4g}, and it must be "
-            f"{MIN_STIFFNESS_RATIO:g} to {MAX_STIFFNESS_RATIO:g} times that"
+            f"{MIN_STIFFNESS_RATIO:g} to {most:g} times that"
         )
 
 

@@ -479,18 +479,18 @@ class FitProblem:
             check_registration(error, model.method)
         errors, correlation = self._spread()
         posterior, full, inside = None, np.full(len(self.chosen), np.inf), None
+        fold, bands = model.fold(options.folds) if options.folds else None, None
         if self.free:
             per_recording, noise = options.per_recording, options.noise[0]
-            full_fit = posterior_of(model, self.fit, self.weights(), self.chosen, per_recording, noise)
-            posterior, full[self.free] = full_fit.posterior, full_fit.errors
-        fold = model.fold(options.folds) if options.folds else None
+            full_fit = posterior_of(model, self.fit, self.weights(), self.chosen, per_recording, noise, fold)
+            posterior, full[self.free], bands = full_fit.posterior, full_fit.errors, full_fit.bands
         along, axis, elsewhere = None, None, None
         if fold is not None:
             left_over = hold_out(model, self.weights(), self.fit, fold)
             along, axis = distances(model, left_over)
-            if self.free:
-                wide = scipy.special.ndtri((1 + options.confidence) / 2) * full_fit.bands
-                inside = float((np.abs(left_over) < wide)[~model.directed].mean())
+            if bands is not None:
+                within = scipy.special.ndtri((1 + options.confidence) / 2) * bands
+                inside = float((np.abs(left_over) < within)[~model.directed].mean())
             if len(model.models) > 1:
                 elsewhere, _ = distances(model, hold_out_recordings(model, self.weights(), self.fit, fold))
         report(3, 4)

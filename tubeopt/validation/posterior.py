@@ -22,8 +22,8 @@ import numpy as np
 import scipy
 
 from ..robots.calibration import Posterior
-from ..solvers.robust_least_squares import RobustDescent, Weights, weighted_sums
-from ..typing import Array, Index
+from ..solvers.robust_least_squares import RobustDescent, Weights, solved, weighted_sums
+from ..typing import Array, Index, Mask
 from .effects import EFFECTS, MOUNTS
 from .model import ParameterState
 from .parameters import Parameter, choose_parameters, groups
@@ -197,8 +197,8 @@ class PosteriorFit:
     """The posterior that its file keeps."""
     errors: Array
     """(P,) standard deviations of the fitted parameters."""
-    bands: Array
-    """(V, 3) standard deviations of what the device sees, with misfit and noise; of positions, m."""
+    bands: Array | None
+    """(V, 3) standard deviations of held-out positions, with misfit and noise, m; None without folds."""
 
 
 # Kinds with factors on the fitted tubes, which are 1 in the file of the fitted robot.
@@ -212,12 +212,14 @@ def posterior_of(
     chosen: Sequence[Parameter],
     per_recording: Sequence[str],
     noise: float | None,
+    fold: Index | None = None,
 ) -> PosteriorFit:
     """Posterior of the robot of the last recording, with its standard deviations.
 
     Args:
         model, fit, weights: with the fitted parameters.   chosen: those that were asked for, fitted or fixed.
         noise: standard deviation of a measured coordinate, m; None for the white part of the residuals.
+        fold: (N,) fold of each row, for the bands.
     """
     count, more = len(model.parameters), considered(model, chosen, per_recording)
     every = [*model.parameters, *more]
@@ -225,24 +227,27 @@ def posterior_of(
     slopes = model.with_parameters(every).jacobian(state, skip=count)
     slopes[..., :count], slopes[..., len(every) :] = fit.jacobian[..., :count], fit.jacobian[..., count:]
     w = weights.of(fit.residuals)
-    square, gradient = weighted_sums(slopes, fit.residuals, w)
-    prior = np.zeros(len(square))
+    prior = np.zeros(slopes.shape[2])
     prior[: len(every)] = [*weights.prior**-2.0, *(p.prior**-2.0 for p in more)]
-    # Scaled to ones on the diagonal: of parameters in m and in rad the pseudoinverse would drop the smaller.
-    square += np.diag(prior)
-    scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
-    inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
-    gains = np.einsum("qr,var,v->qva", inverse, slopes, w)
-    covariance, places = (inverse * prior) @ inverse, Places.of(model)
-    trusted = np.sqrt(w * weights.sigma**2)[:, None]  # less than 1 where a robust loss doubts a row
-    tips = Misfit(0.0, 0.0, 1.0, 0.0, 1.0)
-    for directed in (True, False):
-        kind = np.flatnonzero(model.directed == directed)
-        if len(kind):
-            tips = estimate_misfit(places[kind], (trusted * fit.residuals)[kind], slopes[kind])
-            covariance += tips.spread(places[kind], gains[:, kind])
-    shift = -inverse @ gradient
-    covariance += np.outer(shift, shift)
+    fitted = np.r_[:count, len(every) : len(prior)]
+    places, trusted = Places.of(model), np.sqrt(w * weights.sigma**2)[:, None]  # below 1 where a loss doubts a row
+    kinds = [kind for kind in (np.flatnonzero(model.directed), np.flatnonzero(~model.directed)) if len(kind)]
+    misfits = [estimate_misfit(places[kind], (trusted * fit.residuals)[kind], slopes[kind]) for kind in kinds]
+
+    def covariance_of(used: Mask) -> Array:
+        """Second moments of all unknowns about a fit to the observations `used` (V,)."""
+        square, gradient = weighted_sums(slopes[used], fit.residuals[used], w[used])
+        # What a fit to fewer rows has changed.
+        gradient = gradient - square[:, fitted] @ solved(square[np.ix_(fitted, fitted)], gradient[fitted])
+        square += np.diag(prior)
+        # Scaled to ones on the diagonal: of parameters in m and in rad the pseudoinverse would drop the smaller.
+        scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
+        inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+        gains, shift = np.einsum("qr,var,v->qva", inverse, slopes, w * used), -inverse @ gradient
+        spread = [each.spread(places[kind], gains[:, kind]) for each, kind in zip(misfits, kinds, strict=True)]
+        return np.asarray((inverse * prior) @ inverse + np.outer(shift, shift) + sum(spread))
+
+    covariance, tips = covariance_of(np.ones(len(w), dtype=bool)), misfits[-1]
     sizes = np.sqrt(np.diag(covariance))
     white = tips.noise if noise is None else noise
     misfit = np.sqrt(tips.size**2 + max(tips.noise**2 - white**2, 0.0))
@@ -271,8 +276,12 @@ def posterior_of(
         float(misfit),
         float(white),
     )
-    predicted = np.einsum("var,rs,vas->va", slopes, covariance, slopes)
-    bands = np.sqrt(predicted + misfit**2 + white**2)
+    bands = None if fold is None else np.empty(fit.residuals.shape)
+    for k in () if fold is None else np.unique(fold):
+        rows_of_fold = fold[model.row] == k
+        part = slopes[rows_of_fold]
+        predicted = np.einsum("var,rs,vas->va", part, covariance_of(~rows_of_fold), part)
+        bands[rows_of_fold] = np.sqrt(predicted + misfit**2 + white**2)
     return PosteriorFit(posterior, sizes[:count], bands)
 
 
