@@ -24,6 +24,7 @@ from tubeopt import (
 )
 from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
+from tubeopt.runs.heating_study import Success
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
 from tubeopt.shaping.heating.controller import LawState, decide, run_loop, wilson
 from tubeopt.shaping.heating.optimal_schedule import solve_ideal
@@ -35,6 +36,7 @@ from tubeopt.shaping.heating.simulation import at_rest
 from tubeopt.shaping.heating.thermal import curved_temperatures, stack, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
 from tubeopt.shaping.materials import MDF, STEEL
+from tubeopt.show.heat_report import unlikely
 
 from .heating_reference import TUBE, integrate, thesis_rig
 
@@ -65,6 +67,30 @@ def test_a_thermocouple_keeps_rigs_in_the_window_that_the_schedule_alone_does_no
     low, high = feedback.interval
     assert low < feedback.probability <= high
     assert feedback.contributions[0].name == "sensor"
+
+
+def test_a_bare_tube_that_no_thermometer_sees_is_named_with_its_cure() -> None:
+    """A tube of a thin wall: on boards that draw much heat its bare part beside the clamps gets hottest."""
+    assert not led().problems
+    rig, thin = thesis_rig(), Tube(1.0e-3, 0.9e-3, 0.2, 0.2, 10.0)
+    found = []
+    for bare in (6e-3, 2e-3):
+        short = replace(rig, clamps=replace(rig.clamps, clearance=bare), mold=replace(rig.mold, lead=0.042))
+        planned = plan_heating(thin, short, HeatingSpec(hold_time=30.0, objective="margin"))
+        found.append(replace(planned, feedback=design_feedback(planned, Thermocouple(), samples=60)))
+    long, cured = found
+    assert long.feedback is not None
+    assert cured.feedback is not None
+    assert long.feedback.top.max() > 560 > cured.feedback.top.max()
+    assert cured.feedback.probability > long.feedback.probability + 0.2
+    hot = 100 * np.mean(long.feedback.top > 560)
+    assert f"on {hot:.0f} % of the uncertain rigs the bare tube beside the clamps" in long.concerns[-1]
+    assert "clearance_mm" in long.concerns[-1]
+    assert cured.concerns == cured.problems
+    told = Success(0.3, 60, "thermocouple", 0.05)
+    assert "clearance_mm" in unlikely(told)
+    assert "--sensor" not in unlikely(told)
+    assert "--sensor thermocouple" in unlikely(Success(0.3, 60))
 
 
 def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None:
