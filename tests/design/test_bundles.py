@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.equilibrium.test_bundle import length_forces, shoot
+from tests.equilibrium.test_bundle import end_forces, shoot
 from tubeopt import BundleRobot, DesignTask, EccentricRobot, Load, load_robot, optimize_design, snap_free_certificate
 from tubeopt.block.quantities import Quantity
 from tubeopt.bodies import Sphere
@@ -23,11 +23,13 @@ from tubeopt.design import (
     Reach,
     SnapFree,
     SnapFreeInUse,
+    StockTube,
     Strain,
     StrokeForce,
     Target,
     Tolerances,
     Wall,
+    choose_from_stock,
     pareto_front,
     tolerance_analysis,
 )
@@ -147,7 +149,7 @@ def test_a_turn_is_tighter_with_a_channel(tight: Any) -> None:
 def test_a_design_is_an_equilibrium_of_integrated_forces(tight: Any) -> None:
     """Shooting knows nothing of the energy, nor of its derivatives."""
     pose = tight.robot.fk(np.radians([20.0, 75.0, -110.0]))
-    violated, tip = shoot(tight.robot, pose, length_forces(point_of(pose).state), np.zeros(3))
+    violated, tip = shoot(tight.robot, pose, end_forces(point_of(pose).state), np.zeros(3))
     # Newtons; axial forces are 1 N.
     assert np.abs(violated).max() < 2e-7
     assert np.abs(tip - pose.tip_position).max() < 1e-9
@@ -226,3 +228,24 @@ def test_wrong_dimensions_are_named() -> None:
     segments = load_robot(ROOT / "configs" / "robots" / "example_three_segment_etr.yaml")
     with pytest.raises(InputError, match="offset of tubes 1, 4, 7, which are nested, is not free together"):
         DesignTask(segments, (Free("offset", (0, 1, 2), 1e-3, 2e-3, "equal"),))
+
+
+def test_tubes_from_stock_fit_side_by_side() -> None:
+    """Three sizes: one is too wide for the offsets; the stiffer of the others bends as tightly, within its strain."""
+    robot = thesis().bundle()
+    sizes = [StockTube("thin", 1.2e-3, 0.9e-3), StockTube("wide", 1.9e-3, 1.6e-3), StockTube("too wide", 2.4e-3, 2e-3)]
+    task = DesignTask(
+        robot,
+        (Free("curvature", THREE, 4.0, 30.0, "equal"),),
+        (posed([0, 0, 0]), Strain(0.02)),
+        (Objective("turning_radius"),),
+    )
+    choice = choose_from_stock(task, sizes)
+    assert len(choice.candidates) == 2
+    best = choice.best
+    assert best is not None
+    assert [size.name for size in best.sizes] == ["thin"] * 3
+    assert isinstance(best.robot, BundleRobot)
+    assert best.robot.offset == robot.offset
+    with pytest.raises(InputError, match="no tubes in stock fit at the offsets"):
+        choose_from_stock(task, sizes[2:])

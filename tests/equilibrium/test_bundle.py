@@ -550,7 +550,7 @@ def test_it_snaps_where_the_integrated_equations_are_singular() -> None:
     assert snap.after.margin > 0
     pose = snap.before
     member, x = unsolved(pose)
-    held, constant = member.problem, length_forces(member.at(x))
+    held, constant = member.problem, end_forces(member.at(x))
     lever = held.bundle.levers
     z = np.concatenate([pose.torsion[:, 0] / (1 + lever @ pose.curvature[0]), constant])
 

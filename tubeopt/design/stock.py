@@ -21,7 +21,7 @@ from ..files.field_metadata import (
     typical_length,
     unit,
 )
-from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import BundleRobot
 from ..robots.materials import NITINOL, Material
 from ..solvers.parallel import executor, run_all
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited, time_left
@@ -40,6 +40,9 @@ CHEAP = (Length, Nesting, Wall)
 
 # Objectives that speak of dimensions alone.
 BOUNDED = ("tip_curvature", "turning_radius", "strain", "length", "change")
+
+OF_POSES = ("tip_curvature", "turning_radius")
+"""Objectives that a bundle has in its poses."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +107,9 @@ def choose_from_stock(
     progress: Progress | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> StockChoice:
-    """Choose stock sizes for all tubes: a design for every choice that nests and may be among the best.
+    """Choose stock sizes for all tubes: a design for every choice that fits and may be among the best.
+
+    Tubes of a bundle fit at the offsets of its robot; those of equal section stay equal.
 
     Candidates are solved in the order of their bounds, the optima under the requirements on dimensions alone (strain of
     straightened tubes, lengths, walls). A candidate is pruned if its bound is worse than the `keep` best designs. The
@@ -154,18 +159,39 @@ def choose_from_stock(
 
 
 def stock_choices(task: DesignTask, stock: Sequence[StockTube], clearance: float) -> list[tuple[StockTube, ...]]:
-    """Choices of nesting sizes for the tubes of a task, inner to outer."""
+    """Choices of sizes for the tubes of a task: nesting ones, inner to outer, or those of a bundle, one per tube."""
     if any(dimension.field in ("outer_diameter", "inner_diameter") for dimension in task.free):
         raise InputError("diameters are free, and the tubes come from stock; use one of both")
     if len(task.objectives) > 1:
         raise InputError("a choice from stock needs one objective; the task has several")
     typical_length("clearance", clearance, TYPICAL_TUBE_CLEARANCE, zero=True)
-    if not isinstance(task.robot, ConcentricRobot):
-        raise InputError("tubes from stock are nested; the robot is eccentric")
+    if isinstance(task.robot, BundleRobot):
+        choices = list(_side_by_side(task, task.robot, stock, clearance))
+        if not choices:
+            raise InputError("no tubes in stock fit at the offsets of the robot; move its tubes apart")
+        return choices
     choices = list(combinations(stock, task.robot.n_tubes, clearance))
     if not choices:
         raise InputError(f"no {task.robot.n_tubes} tubes in stock nest with a clearance of {clearance * 1e3:g} mm")
     return choices
+
+
+def _side_by_side(
+    task: DesignTask, robot: BundleRobot, stock: Sequence[StockTube], clearance: float
+) -> Iterator[tuple[StockTube, ...]]:
+    """Choices of sizes for the tubes of a bundle at their offsets; tubes of equal section stay equal."""
+    sections = [(tube.outer_diameter, tube.inner_diameter) for tube in robot.tubes]
+    kinds = list(dict.fromkeys(sections))
+    for chosen in itertools.product(stock, repeat=len(kinds)):
+        sizes = tuple(chosen[kinds.index(section)] for section in sections)
+        gaps = [sizes[outer].inner_diameter - sizes[inner].outer_diameter for inner, outer in robot.nested_pairs]
+        if min(gaps, default=np.inf) < clearance - 1e-12:
+            continue
+        try:
+            with_sizes(task, sizes)
+        except InputError:  # tubes overlap, or are wider than their sheath
+            continue
+        yield sizes
 
 
 def combinations(stock: Sequence[StockTube], n: int, clearance: float) -> Iterator[tuple[StockTube, ...]]:
@@ -193,7 +219,8 @@ def with_sizes(task: DesignTask, sizes: Sequence[StockTube]) -> DesignTask:
 
 def _bound(task: DesignTask) -> float:
     """The best objective, as minimised, under the requirements on dimensions alone."""
-    if key_of(task.objectives[0]) not in BOUNDED:
+    key = key_of(task.objectives[0])
+    if key not in BOUNDED or (isinstance(task.robot, BundleRobot) and key in OF_POSES):
         return -np.inf
     cheap = tuple(
         replace(r, in_poses=False) if isinstance(r, Strain) else r
