@@ -19,7 +19,7 @@ from tubeopt.files.yaml_file import to_yaml
 from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.robots.calibration import Posterior
 from tubeopt.runs.plan_study import Required, load_plan_study, of_real_robot
-from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty
+from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty, validate
 from tubeopt.validation.certainty import certificate_bounds
 from tubeopt.validation.effects import Setup, heated_pieces, heated_shape
 from tubeopt.validation.measurements import Timeline
@@ -116,6 +116,23 @@ def test_sizes_and_ranges_of_a_misfit_are_found() -> None:
     white = estimate_misfit(at, random.normal(size=(n, 3)), slopes)
     assert white.size < 0.3
     assert white.noise == pytest.approx(1.0, rel=0.1)
+
+
+def test_rows_outside_of_what_was_recorded_are_marked() -> None:
+    _, found = fitted(0)
+    posterior, rows = found.robot.posterior, recorded(0)[1]
+    assert posterior is not None
+    assert not found.after.outside.any()
+    low, high = np.array(posterior.rotations).T
+    np.testing.assert_allclose([low, high], [rows.rotations.min(0), rows.rotations.max(0)])
+    farther = rows.rotations.copy()
+    farther[:7, 1] = high[1] + 0.1
+    again = validate(found.robot, replace(rows, rotations=farther))
+    assert again.outside.nonzero()[0].tolist() == list(range(7))
+    assert any(remark.startswith("7 rows lie outside of the ranges") for remark in again.remarks)
+    inside = forward_kinematics(found.robot, (low + high) / 2, np.array(posterior.translations).mean(1))
+    assert not uncertainty(inside).outside
+    assert uncertainty(forward_kinematics(found.robot, high + 0.5, inside.translations)).outside
 
 
 # --- bounds on the real robot -----------------------------------------------------------------------------------------

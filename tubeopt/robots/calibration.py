@@ -14,7 +14,7 @@ from ..display import Displayed
 from ..errors import InputError, choice, finite, positive, vector
 from ..files.field_metadata import NOT_NEGATIVE, Absent, unit
 from ..files.units import UNITS
-from ..typing import Array
+from ..typing import Array, Mask
 from .limits import JointLimits, default_limits
 from .tubes import Tube
 
@@ -183,6 +183,9 @@ class Calibration(Displayed):
         return JointLimits(rotations=rotations, translations=translations)
 
 
+# Readings closer than this, rad or m, are the same but for round-off.
+SAME_READING = 1e-9
+
 DEVIATIONS = {"": "", "1/m": "per_m", "rad": "deg", "m": "mm", "s": "s", "N": "mN_m_per_m", "m/N": "mm_per_N"}
 """SI unit of a fitted parameter -> unit in files and records."""
 
@@ -219,6 +222,12 @@ class Posterior(Displayed):
         float, unit("mm"), NOT_NEGATIVE, "standard deviation of a coordinate of the tip that no parameter explains"
     ] = 0.0
     noise: Annotated[float, unit("mm"), NOT_NEGATIVE, "standard deviation of a measured coordinate of the tip"] = 0.0
+    rotations: Annotated[
+        tuple[tuple[float, float], ...], unit("deg"), LEFT_OUT, "least and greatest recorded rotation of every tube"
+    ] = ()
+    translations: Annotated[
+        tuple[tuple[float, float], ...], unit("mm"), LEFT_OUT, "least and greatest recorded translation of every tube"
+    ] = ()
 
     def __post_init__(self) -> None:
         count = len(self.parameters)
@@ -244,6 +253,15 @@ class Posterior(Displayed):
             misfit,
             noise,
         )
+
+    def outside(self, rotations: Array, translations: Array) -> Mask:
+        """(...,) True where readings (..., n), rad and m, are outside of the recorded ranges; False if unknown."""
+        out = np.zeros(np.shape(rotations)[:-1], dtype=bool)
+        for values, ranges in ((rotations, self.rotations), (translations, self.translations)):
+            if ranges:
+                low, high = np.array(ranges).T
+                out |= ((values < low - SAME_READING) | (values > high + SAME_READING)).any(-1)
+        return np.asarray(out)
 
     @property
     def names(self) -> tuple[str, ...]:

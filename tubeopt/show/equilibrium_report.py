@@ -204,6 +204,8 @@ REAL: tuple[Quantity[Uncertainty], ...] = (
     Quantity("real_margin", "the margin is at least this, to first order", lambda u: u.margin, optional=True),
     Quantity("real_snap_distance_deg", "all tubes can turn by at least this without a snap, to first order",
              lambda u: u.snap_distance, optional=True),
+    Quantity("outside_recorded", "true if a reading is outside of the recorded ranges", lambda u: u.outside,
+             optional=True, label="recorded ranges", text=lambda u: "the readings are outside" if u.outside else None),
     line("real robot, 95 %", lambda u: _bounds_text(u, 0)),
     line("real robot, 99.9 %", lambda u: _bounds_text(u, 1)),
 )  # fmt: skip

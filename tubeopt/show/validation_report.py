@@ -168,12 +168,16 @@ def _pictures(v: Validation, when: str) -> dict[str, Drawing]:
 
 
 def save_residuals(directory: Path, v: Validation, held_out: Array | None = None) -> Path:
-    """A row per configuration: measured and predicted tip in the plate frame, their distance, the margin."""
+    """A row per configuration: measured and predicted tip in the plate frame, their distance, the margin.
+
+    The last column is 1 for readings outside of the ranges that the robot was calibrated in.
+    """
     columns = [f"{what}_{axis}_mm" for what in ("measured", "predicted") for axis in "xyz"]
-    columns += ["error_mm", *(["held_out_error_mm"] if held_out is not None else []), "margin"]
+    columns += ["error_mm", *(["held_out_error_mm"] if held_out is not None else []), "margin", "outside"]
     lengths = [v.measured, v.predicted, v.errors[:, None], *([held_out[:, None]] if held_out is not None else [])]
     table = np.hstack([*(block * TO_MM for block in lengths), v.margin[:, None]])
-    cells = [[k + 1, *(f"{x:.6f}" for x in row)] for k, row in enumerate(table.tolist())]
+    rows = zip(table.tolist(), v.outside.astype(int).tolist(), strict=True)
+    cells = [[k + 1, *(f"{x:.6f}" for x in row), outside] for k, (row, outside) in enumerate(rows)]
     path = directory / "residuals.csv"
     write_text(path, to_csv(["row", *columns], cells, "Tips in the plate frame, after registration."))
     return path

@@ -117,10 +117,13 @@ class RealRobots:
 
     @without_unit_warnings()
     def _of(self, values: Array, rotations: Array, translations: Array) -> Real:
-        none = Calibration.none(self.robot.n_tubes)
         real = apply(self.first, self.parameters, values)
-        read = (self.robot.calibration or none).to_readings(rotations, translations)
-        return Real(real.robot(self.robot), *real.drives.to_model(*read))
+        return Real(real.robot(self.robot), *real.drives.to_model(*self.readings(rotations, translations)))
+
+    def readings(self, rotations: Array, translations: Array) -> tuple[Array, Array]:
+        """Readings (..., n) of the drives, rad and m, at joint values of the calibrated robot."""
+        calibration = self.robot.calibration or Calibration.none(self.robot.n_tubes)
+        return calibration.to_readings(rotations, translations)
 
     def slopes(self, e: Equilibrium, z: Array, joints: tuple[Array, Array]) -> Slopes:
         """Derivatives of the equilibrium of z; `joints` are joint values of the calibrated robot.
@@ -229,6 +232,8 @@ class Uncertainty(Displayed):
     """(Q,) margins, without friction; 0 where the robot may snap."""
     snap_distance: Annotated[Array, unit("deg"), form(".1f"), "no turn of all tubes up to this snaps"]
     """(Q,), rad; infinite where it is certified."""
+    outside: bool = False
+    """True if a reading is outside of the ranges that the robot was calibrated in."""
 
 
 @typed
@@ -261,6 +266,7 @@ def uncertainty(equilibrium: Equilibrium, probabilities: Sequence[float] = PROBA
         longest * np.sqrt(scipy.special.chdtri(3, 1 - np.array(probabilities))),
         _least_margins(reals, e, slopes.margin, joints, probabilities),
         distances,
+        bool(e.robot.posterior.outside(*reals.readings(*joints))),
     )
 
 

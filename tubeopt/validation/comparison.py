@@ -18,7 +18,7 @@ from ..files.field_metadata import unit
 from ..robots.robot import Robot
 from ..solvers.blas import small
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
-from ..typing import Array, Index
+from ..typing import Array, Index, Mask
 from .measurements import Measurements, Parity, deal, joined, parity, passes, recordings_of
 from .model import ArmModel, ParameterState
 from .registration import FREEDOMS, SENSOR_FRAME, BasePose, Registration
@@ -147,7 +147,21 @@ class Validation(Displayed):
             row, reason = self.left_out[0]
             count = f"{len(self.left_out)} rows have no stable shape and were left out"
             remarks.append(f"{count}; the first is row {row + 1}: {reason}")
+        if self.outside.any():
+            groups = (("there", self.outside), ("elsewhere", ~self.outside))
+            errors = ((where, self.errors[rows & np.isfinite(self.errors)]) for where, rows in groups)
+            parts = [f"RMS {1e3 * np.sqrt((e**2).mean()):.2f} mm {where}" for where, e in errors if len(e)]
+            count = f"{int(self.outside.sum())} rows lie outside of the ranges that the robot was calibrated in"
+            remarks.append(f"{count}: {', '.join(parts)}")
         return tuple(remarks)
+
+    @property
+    def outside(self) -> Mask:
+        """(N,) True for rows outside of the ranges of readings that the robot was calibrated in."""
+        posterior, m = self.robot.posterior, self.measurements
+        if posterior is None:
+            return np.zeros(len(m), dtype=bool)
+        return posterior.outside(m.rotations, m.translations)
 
     @property
     def residuals(self) -> Array:

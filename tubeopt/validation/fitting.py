@@ -482,7 +482,8 @@ class FitProblem:
         fold, bands = model.fold(options.folds) if options.folds else None, None
         if self.free:
             per_recording, noise = options.per_recording, options.noise[0]
-            full_fit = posterior_of(model, self.fit, self.weights(), self.chosen, per_recording, noise, fold)
+            known_fold = np.zeros(0, dtype=int) if fold is None else fold
+            full_fit = posterior_of(model, self.fit, self.weights(), self.chosen, per_recording, noise, known_fold)
             posterior, full[self.free], bands = full_fit.posterior, full_fit.errors, full_fit.bands
         along, axis, elsewhere = None, None, None
         if fold is not None:

@@ -16,7 +16,7 @@ Three causes are added to the noise of the sensor.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
@@ -197,8 +197,8 @@ class PosteriorFit:
     """The posterior that its file keeps."""
     errors: Array
     """(P,) standard deviations of the fitted parameters."""
-    bands: Array | None
-    """(V, 3) standard deviations of held-out positions, with misfit and noise, m; None without folds."""
+    bands: Array
+    """(V, 3) standard deviations of held-out positions, with misfit and noise, m."""
 
 
 # Kinds with factors on the fitted tubes, which are 1 in the file of the fitted robot.
@@ -212,14 +212,14 @@ def posterior_of(
     chosen: Sequence[Parameter],
     per_recording: Sequence[str],
     noise: float | None,
-    fold: Index | None = None,
+    fold: Index,
 ) -> PosteriorFit:
     """Posterior of the robot of the last recording, with its standard deviations.
 
     Args:
         model, fit, weights: with the fitted parameters.   chosen: those that were asked for, fitted or fixed.
         noise: standard deviation of a measured coordinate, m; None for the white part of the residuals.
-        fold: (N,) fold of each row, for the bands.
+        fold: (N,) fold of each row, for the bands; empty without folds.
     """
     count, more = len(model.parameters), considered(model, chosen, per_recording)
     every = [*model.parameters, *more]
@@ -276,8 +276,13 @@ def posterior_of(
         float(misfit),
         float(white),
     )
-    bands = None if fold is None else np.empty(fit.residuals.shape)
-    for k in () if fold is None else np.unique(fold):
+    rotations, translations = (
+        [(float(low), float(high)) for low, high in zip(table.min(0), table.max(0), strict=True)]
+        for table in (np.vstack([getattr(m, name) for m in model.recordings]) for name in ("rotations", "translations"))
+    )
+    posterior = replace(posterior, rotations=tuple(rotations), translations=tuple(translations))
+    bands = np.empty(fit.residuals.shape)
+    for k in np.unique(fold):  # none without folds
         rows_of_fold = fold[model.row] == k
         part = slopes[rows_of_fold]
         predicted = np.einsum("var,rs,vas->va", part, covariance_of(~rows_of_fold), part)
