@@ -9,7 +9,8 @@ closer inverse kinematics comes: `ik --closest`, which searches from many starts
 the place of rest. A servo approaches its target at every step, so it can rest at a local minimum only; `--certify`
 checks that, by multipliers and second derivatives. Kinds: the servo
 in Python, in C, and the robot of the server, commanded by servo_cp in time of its own. With `--reach` the targets are
-tips of random joint values, and what counts is whether they are reached.
+tips of random joint values, and what counts is whether they are reached. With `--seek` the server moves on to the
+closest pose that it finds.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import wait
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -110,21 +112,26 @@ def made(robot: Robot, start: Any, asked: argparse.Namespace) -> Any:
     return Servo(robot, start, options=options) if asked.kind == "python" else CServo(library_of(robot), start, options)
 
 
-def lead(servo: Any, target: Array, dt: float, server: bool) -> Rest:
-    """The motion of a servo to a target until it has rested."""
+def lead(servo: Any, target: Array, dt: float, server: bool, seek: bool = False) -> Rest:
+    """The motion of a servo to a target until it has rested; with `seek` that of the server to the closest pose."""
     o, clock = servo.options, [0.0]
     arm = CrtkRobot(servo)
     if server:
         arm.command({"op": "state_command", "command": "enable"}, 0.0)
+    if seek:
+        arm.command({"op": "move_cp", "position": target.tolist(), "closest": True}, 0.0)
     first = servo.equilibrium
     sent = [np.concatenate([first.rotations, first.translations])]
     n = len(first.rotations)
     rates = np.repeat([o.turn_rate, o.shift_rate], n)
     tips, margin, rested, why, start_time = [first.tip_position], first.margin, 0, None, time.perf_counter()
-    while rested * dt < RESTED and len(sent) * dt < LONGEST:
+    while (rested * dt < RESTED or (seek and arm.busy)) and len(sent) * dt < LONGEST:
         if server:
             clock[0] += dt
-            arm.command({"op": "servo_cp", "position": target.tolist()}, clock[0])
+            if not seek:
+                arm.command({"op": "servo_cp", "position": target.tolist()}, clock[0])
+            elif arm.searching is not None:  # time stands still meanwhile
+                wait([arm.searching])
             arm.tick(lambda: clock[0], dt)
         else:
             why = servo.step(Command(position=target), dt).why
@@ -292,7 +299,7 @@ def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str,
             target = random.normal(size=3)
             target *= longest * random.uniform() ** (1 / 3) / np.linalg.norm(target)
         servo = made(robot, (start.rotations, start.translations), asked)
-        result = lead(servo, target, asked.dt, asked.kind == "server")
+        result = lead(servo, target, asked.dt, asked.kind == "server" or asked.seek, asked.seek)
         row = vars(result) | {"robot": name, "case": k, "joints": [each.tolist() for each in result.joints]}
         del row["path"], row["tip"]
         if asked.snap_deg:
@@ -353,6 +360,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=1000, help="of targets, over all robots")
     parser.add_argument("--kind", choices=("python", "c", "server"), default="c")
     parser.add_argument("--compare", type=int, default=0, help="motions of each robot compared with ik --closest")
+    parser.add_argument("--seek", action="store_true", help="moves of the server to the closest pose")
     parser.add_argument("--certify", type=int, default=0, help="motions of each robot whose rest is looked into")
     parser.add_argument("--dt", type=float, default=2e-3, help="cycle, s")
     parser.add_argument("--floor", type=float, default=0.1, help="of the margin")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from concurrent.futures import wait
 from pathlib import Path
 
 import numpy as np
@@ -203,11 +203,9 @@ def moved_to_closest(arm: CrtkRobot, position: Sequence[float]) -> tuple[float, 
     arm.command({"op": "state_command", "command": "enable"}, 0.0)
     arm.command({"op": "move_cp", "position": list(position), "closest": True}, 0.0)
     while arm.busy:
-        goal = arm._goal
-        if goal is not None and goal.found is not None and not arm.servo.moving:
+        if arm.searching is not None and not arm.servo.moving:
             rest = away()
-            with suppress(Exception):
-                goal.found.result(timeout=120)
+            wait([arm.searching], timeout=120)
         clock[0] += 5e-3
         arm.tick(lambda: clock[0], 5e-3)
     return rest, away()

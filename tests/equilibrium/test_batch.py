@@ -16,10 +16,14 @@ from tubeopt import (
     Tube,
     forward_kinematics,
     forward_kinematics_batch,
+    load_robot,
 )
 from tubeopt.equilibrium import batch
+from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.robot import Robot
-from tubeopt.solvers.compiled.binding import kernel_of
+from tubeopt.solvers.compiled import binding
+from tubeopt.solvers.compiled.binding import kernel_of, solve_many_compiled
+from tubeopt.solvers.compiled.library import compiler
 from tubeopt.typing import Array
 
 ETR = EccentricRobot(Tube(1.92e-3, 1.57e-3, 0.02, 0.094, 26.0), transmission_length=0.05)
@@ -180,3 +184,24 @@ def test_bad_input(rotations: object, translations: object, options: dict[str, o
 def test_tubes_of_one_segment_must_move_together() -> None:
     with pytest.raises(InputError, match=r"translations\[1\]: .*share a sheath"):
         forward_kinematics_batch(ETR, np.zeros((2, 3)), [[0.0, 0.0, 0.0], [0.0, -0.01, 0.0]])
+
+
+@pytest.mark.skipif(compiler() is None, reason="no C compiler")
+@pytest.mark.parametrize("name", ["thesis_ctr", "two_tube", "example_pieces"])
+def test_side_by_side_configurations_have_the_results_of_each_alone(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rotations of several turns, of which some end unstable; tubes made of pieces are solved alone in any case."""
+    robot = load_robot(f"configs/robots/{name}.yaml")
+    random, space = np.random.default_rng(2), joint_space(robot)
+    joints = space.joint(space.sample(400))
+    n = robot.n_tubes
+    rotations = random.uniform(-12, 12, (len(joints), n))
+    straight = [tube.straight_length for tube in robot.tubes]
+    translations = np.minimum(joints[:, n:], straight)
+    together = solve_many_compiled(robot, rotations, translations)
+    monkeypatch.setattr(binding, "abreast_library", lambda _: None)
+    alone = solve_many_compiled(robot, rotations, translations)
+    assert together is not None
+    assert alone is not None
+    assert (together[1] == alone[1]).all()
+    assert np.abs(together[0] - alone[0])[:, : 12 + n].max() < 1e-12
+    assert np.abs(together[0] - alone[0]).max() < 1e-9

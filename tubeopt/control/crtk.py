@@ -216,6 +216,11 @@ class CrtkRobot:
         """True while a `move_...` command is running."""
         return self._goal is not None and not self._goal.stream
 
+    @property
+    def searching(self) -> Future[ClosestPath] | None:
+        """Running search of the closest pose; None without one."""
+        return None if self._goal is None else self._goal.found
+
     def command(self, message: Mapping[str, Any], now: float) -> None:
         """Execute a message {"op": name, ...}: start a motion, stop, or change the state.
 

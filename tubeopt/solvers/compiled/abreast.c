@@ -25,6 +25,16 @@ static void take_answer(const Workspace *w, int which, Answer *to) {
     TAKE(frame[shape - 1], 9);
 }
 
+/* Numbers of one robot for the summary of `solve_many`. */
+static void summarise(const Answers *one, int which, double *summary) {
+    long long tip = one->pieces * STEPS;
+    Real rest[5] = {one->margin, one->residual, one->mesh_error, one->tip_error, one->energy};
+    for (int r = 0; r < 3; r++) summary[r] = one->position[tip][r][which];
+    for (int r = 0; r < 9; r++) summary[3 + r] = one->frame[tip][r][which];
+    for (int i = 0; i < N; i++) summary[12 + i] = one->tip_rotations[i][which];
+    for (int r = 0; r < 5; r++) summary[12 + N + r] = rest[r][which];
+}
+
 /* A row on its way: a number that rows share whose meshes have the same pieces, and the steps of ordinary length that it takes
    and has taken; none where it is left as it was. */
 typedef struct {
@@ -136,6 +146,33 @@ CASADI_SYMBOL_EXPORT void follow_abreast(const Tubes *const *tubes, long long co
         if (!jobs[j].steps) continue;
         memcpy(alpha + at, to_alpha + at, joints);
         memcpy(shift + at, to_shift + at, joints);
+    }
+}
+
+/* What `solve_many` does, of rows that are solved side by side; `declined` (count): 1 of others. */
+CASADI_SYMBOL_EXPORT void solve_abreast(const Tubes *tubes, long long count, const double *alpha, const double *shift, double *summary,
+                                        unsigned char *declined, Job *jobs, Workspace *w) {
+    memset(declined, 1, count);
+    for (long long k = 0; k < count; k++) {
+        jobs[k] = (Job){0, k, 0, 0};
+        if (lay_out(tubes, shift + k * N, NULL, w->layout)) jobs[k].mesh = mesh_of(tubes, w->layout);
+    }
+    qsort(jobs, count, sizeof(Job), by_mesh);
+    for (long long first = 0, end; first < count; first = end) {
+        Real at[N];
+        for (end = first; end < count && end < first + ROBOTS && jobs[end].mesh == jobs[first].mesh;) end++;
+        if (!jobs[first].mesh) continue;
+        for (int which = 0; which < ROBOTS; which++) {
+            long long row = jobs[first + which < end ? first + which : first].row;
+            lay_out(tubes, shift + row * N, NULL, w->layout + which);
+            for (int i = 0; i < N; i++) at[i][which] = alpha[row * N + i];
+        }
+        Truth left = solve_on(tubes, at, NULL, w, &w->answers);
+        for (int which = 0; which < end - first; which++) {
+            long long row = jobs[first + which].row;
+            declined[row] = left[which] != 0;
+            if (!left[which]) summarise(&w->answers, which, summary + row * (17 + N));
+        }
     }
 }
 

@@ -135,7 +135,7 @@ static void interpolate(const Unknowns *coarse, const Profile *arm, const Unknow
 /* Whether the elastic coupling L' B V'' L has no negative eigenvalue below -COUPLING_FLOOR: then the margin is 1. One
    elimination finds that out; Lanczos' method would search for a mode among those that gather at 1. */
 static Truth never_softens(const Unknowns *q, const State *state, Chain *h) {
-    return factor_variation(q, state, COUPLING_FLOOR, h);
+    return factor_variation(q, state, REAL(COUPLING_FLOOR), h);
 }
 
 /* Least eigenvalue of the second variation at a solved state, at most 1; not positive where it is not stable. */
@@ -144,7 +144,7 @@ static Real margin_of(const Unknowns *q, const State *state, Chain *h) {
     if (!q->size) return REAL(1.0);
     Truth rigid = never_softens(q, state, h);
     if (ALL(rigid)) return REAL(1.0);
-    Truth stable = factor_variation(q, state, 1, h);
+    Truth stable = factor_variation(q, state, REAL(1.0), h);
     if (!ANY(stable)) return REAL(-1.0);
     anywhere(z, q->size);
     Real least = least_eigenvalue((Factored){q, h, NULL, NULL}, EIGENVALUE_ERROR, 0, rigid | NOT(stable), z);

@@ -534,10 +534,19 @@ def solve_many_compiled(
     memory, count = memory_of(prepared.kernel), len(rotations)
     memory.solved = None
     alpha, shift = (np.ascontiguousarray(a, dtype=float) for a in (rotations, translations))
-    table, unsolved = np.zeros((count, 17 + robot.n_tubes)), np.zeros(count, dtype=np.uint8)
-    addresses = (address(a) for a in (alpha, shift, table, unsolved))
+    table, unsolved = np.zeros((count, 17 + robot.n_tubes)), np.ones(count, dtype=np.uint8)
+    side_by_side = abreast_library(robot.n_tubes) if arms is None and prepared.kernel.differentiable else None
+    if side_by_side is not None:
+        jobs, room = np.zeros((count, 4), dtype=np.int64), aligned(side_by_side.workspace_size)
+        arrays = (alpha, shift, table, unsolved, jobs, room)
+        side_by_side.functions.solve_abreast(prepared.address, count, *(address(a) for a in arrays))
+    rows = np.flatnonzero(unsolved)
+    left, again = np.zeros((len(rows), table.shape[1])), np.zeros(len(rows), dtype=np.uint8)
+    inputs = alpha[rows], shift[rows]
     points = (0, None) if arms is None else (arms.shape[2], address(arms))
-    prepared.kernel.functions.solve_many(prepared.address, count, *addresses, *points, *memory.addresses)
+    places = [address(a) for a in (*inputs, left, again)]
+    prepared.kernel.functions.solve_many(prepared.address, len(rows), *places, *points, *memory.addresses)
+    table[rows], unsolved[rows] = left, again
     return table, unsolved.astype(bool)
 
 

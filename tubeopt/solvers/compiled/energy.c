@@ -279,7 +279,7 @@ static int rows_of(const Unknowns *q, int x, int *row) {
 
 /* The matrix of an element, upper triangle, with `diagonal` in place of 1. Fours that have too much are laid over by what
    comes after them. */
-ALWAYS_INLINE void lay_element(const Unknowns *q, const State *state, int x, int k, double diagonal, Real ahead[N][N], Real *h) {
+ALWAYS_INLINE void lay_element(const Unknowns *q, const State *state, int x, int k, Real diagonal, Real ahead[N][N], Real *h) {
     int row[N], rows = rows_of(q, x, row), from = FILLED(rows);
     for (int i = 0; i < N; i++) {
         Real value[N][MOST_DEGREE], all[N];
@@ -323,7 +323,7 @@ ALWAYS_INLINE void lay_element(const Unknowns *q, const State *state, int x, int
 
 /* Factors of the second variation, with `diagonal` in place of 1; 0 where it is not positive definite, and so, with 1, the
    state not stable. */
-static Truth factor_variation(const Unknowns *q, const State *state, double diagonal, Chain *chain) {
+static Truth factor_variation(const Unknowns *q, const State *state, Real diagonal, Chain *chain) {
     Real ahead[N][N];
     Truth positive = YES;
     int k = q->tableau->degree, row[N];

@@ -74,22 +74,21 @@ static Truth newton_from(Real theta[][N], const Real *alpha, Workspace *w, int m
 #define COARSE_STEP 1e-3        /* rad, with which a descent on the coarse points ends */
 #define MOST_WARM_ITERATIONS 12 /* from a guess: more than Newton's method needs close by, since chords count too */
 
-#if !ABREAST
-/* Descent on the coarse points from tubes without torsion (on the centreline), then Newton on the fine ones. */
-static int from_untwisted(const double *alpha, Workspace *w, int *iterations, double *ratio) {
-    double theta[MOST_POINTS][N];
+/* Descent on the coarse points from tubes without torsion (on the centreline), then Newton on the fine ones. Returns where
+   it is declined. */
+static Truth from_untwisted(const Real *alpha, Workspace *w, int *iterations, Real *ratio) {
+    Real theta[MOST_POINTS][N];
+    State *state = &w->state;
     memset(w->state.z, 0, sizeof w->state.z);
 #if ECCENTRIC
     memset(w->state.extra, 0, sizeof w->state.extra); /* of the solve before */
 #endif
-    const State *state = descend(&w->coarse, alpha, &w->state, &w->trial, &w->chain, COARSE_STEP, iterations);
-    if (!state) return DECLINED;
+    Truth declined = descend(&w->coarse, alpha, &state, &w->trial, &w->chain, COARSE_STEP, iterations);
+    if (ALL(declined)) return declined;
     integrate(&w->coarse, alpha, state, &w->arm);
     interpolate(&w->coarse, &w->arm, &w->fine, TO_FINE, theta);
-    return newton_from(theta, alpha, w, MOST_ITERATIONS, iterations, ratio);
+    return declined | newton_from(theta, alpha, w, MOST_ITERATIONS, iterations, ratio);
 }
-
-#endif
 
 /* Newton from a guess, with the largest change of an unknown rotation from it. Returns where it is declined. */
 static Truth from_guess(const Guess *guess, const Real *alpha, Workspace *w, int *iterations, Answers *out) {
@@ -131,12 +130,8 @@ static Truth solve_on(const Tubes *tubes, const Real *alpha, const Guess *guess,
     int rough = !guess || ECCENTRIC; /* where coarse points are asked: for the descent, and for that margin */
     if (rough && !pose_unknowns(&w->coarse, w->layout, tubes, &COARSE, 0)) return YES;
     out->contraction = out->largest_change = REAL(0.0);
-#if ABREAST
-    Truth declined = from_guess(guess, alpha, w, &iterations, out);
-#else
     Truth declined = guess ? from_guess(guess, alpha, w, &iterations, out)
                            : from_untwisted(alpha, w, &iterations, &out->contraction);
-#endif
     if (ALL(declined)) return declined;
     judge(alpha, w, out);
     declined |= NOT(out->margin > 0);

@@ -124,7 +124,7 @@ def source(n: int, eccentric: bool) -> str:
 
 
 def abreast_source(n: int) -> str:
-    """C text of the kernel that follows n concentric tubes of several robots side by side."""
+    """C text of the kernel that solves n concentric tubes of several robots side by side."""
     return kernel_text(n, capacity=CAPACITY._replace(unknowns=ABREAST_UNKNOWNS), abreast=True)
 
 
@@ -355,7 +355,8 @@ def abreast_library(n: int) -> Kernel | None:
     if kernel is not None:
         pointer, whole = ctypes.c_void_p, ctypes.c_longlong
         kernel.functions.follow_abreast.argtypes = [pointer, whole, *[pointer] * 9]
-        kernel.functions.follow_abreast.restype = None
+        kernel.functions.solve_abreast.argtypes = [pointer, whole, *[pointer] * 6]
+        kernel.functions.follow_abreast.restype = kernel.functions.solve_abreast.restype = None
     return kernel
 
 

@@ -248,7 +248,7 @@ typedef struct {
    than `small` of it: by the residual, or where A is symmetric by its square over the distance from 1, at least `apart`. */
 ALWAYS_INLINE Real largest_of(Krylov *l, Real *vector) {
     Real small[LANCZOS * LANCZOS], y[LANCZOS], value, found[LANCZOS], largest = REAL(-2.0), beside, *basis = l->basis;
-    Truth asked = NOT(l->skipped);
+    Truth asked = NOT(l->skipped), end = NOT(YES);
     int n = l->n, stride = l->stride, steps = n < l->steps ? n : l->steps, m = 0;
     Real norm = sqrt(dot(vector, vector, n));
     for (int k = 0; k < n; k++) basis[k] = vector[k] / norm;
@@ -270,9 +270,10 @@ ALWAYS_INLINE Real largest_of(Krylov *l, Real *vector) {
             }
         }
         beside = sqrt(dot(next, next, n));
-        Truth end = m + 1 == n ? YES : beside < 1e-13;
-        /* Many steps are many roots: each costs as much as the step. */
-        if (ANY(asked & end) || m + 1 == steps || (ABREAST ? m % 3 == 2 : m < 8 ? l->symmetric || m % 2 == 0 : m % 4 == 0)) {
+        end |= m + 1 == n ? YES : beside < 1e-13;
+        /* Many steps are many roots: each costs as much as the step. Side by side they are fixed, since what one robot does must
+           not depend on the others. */
+        if (m + 1 == steps || (ABREAST ? m % 3 == 2 : ANY(end) || (m < 8 ? l->symmetric || m % 2 == 0 : m % 4 == 0))) {
             value = l->symmetric ? largest_of_hessenberg(small, m + 1, 1, asked, y)
                                  : largest_of_hessenberg(small, m + 1, LANCZOS, asked, y);
             largest = CHOOSE(asked, CHOOSE(value > -1, value, -2.0), largest);
