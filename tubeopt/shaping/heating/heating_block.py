@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -34,7 +35,7 @@ from .rig_course import (
 )
 from .schedule import RAMP_RESERVE, realised_schedule
 from .spec import OBJECTIVES, HeatingSpec
-from .thermal import PROGRAM, thermal_data, vent_profile
+from .thermal import PROGRAM, thermal_data, uniform_gap_of, vent_profile
 
 
 @typed
@@ -124,11 +125,10 @@ class HeatingBlock(RigCourse):
             self.program.subject_to(self.label + "longest heating", durations[0] - 0.5 / SCALE.duration, upper=longest)
         else:
             durations = ca.repmat(ca.MX(heating_time) / SCALE.duration, 1, s.mesh.heating)
-        values = {"clearance": rig.clamps.clearance, "lead": rig.mold.lead, **self.rig_values}
-        vents = vent_profile(rig, np.linspace(0.0, 1.0, VENTS))
-        design = ca.vertcat(values["clearance"] / SCALE.length, values["lead"] / SCALE.length, vents)
-        self.design = ca.MX(design)
-        column = ca.MX(rig_parameters(self.tube, rig, PROGRAM, self.rig_values))
+        self.design = ca.MX(self._design(self.rig_values))
+        copies = self._copies()
+        designs = ca.horzcat(*(self._design(values) for values in copies))
+        column = ca.horzcat(*(ca.MX(rig_parameters(self.tube, rig, PROGRAM, values)) for values in copies))
         if duty is None:
             I_sq = self._variable("mean square current", 1, s.mesh.intervals + 1, start.I_sq)
             self.program.subject_to(self.label + "current is not negative", ca.vec(I_sq))
@@ -142,8 +142,10 @@ class HeatingBlock(RigCourse):
             I_sq_nodes=I_sq,
             durations=durations,
             hold=self.spec.covered_time,
-            designs=ca.repmat(self.design, 1, s.points),
-            column=column,
+            designs=ca.repmat(designs, 1, s.points)
+            if len(copies) == 1
+            else ca.kron(designs, ca.DM.ones(1, mesh.degree)),
+            column=column if len(copies) == 1 else ca.kron(column, ca.DM.ones(1, mesh.degree)),
             grid=grid_places(self.tube, rig, PROGRAM, fixed=not {"lead", "clearance"} & set(self.rig_values)),
         )
         self.program.subject_to(self.label + "heat balance and circuit", ca.vec(self.equations), upper=0.0)
@@ -223,6 +225,29 @@ class HeatingBlock(RigCourse):
         """Matrix of unknowns of the order of 1, with its start by columns."""
         return ca.reshape(self.program.variable(self.label + name, rows * columns, guess=start.ravel()), rows, columns)
 
+    def _copies(self) -> list[dict[str, Any]]:
+        """Parameters of the rig in every interval, or once if no parameter is an expression.
+
+        Each interval has copies of those that are: a single unknown would be a dense column, which fills the factors.
+        """
+        intervals = self._structure.mesh.intervals
+        free = {name: value for name, value in self.rig_values.items() if symbolic(value)}
+        rows = {}
+        for name, value in free.items():
+            size = _number_of(self.rig, RIG_PARAMETERS[name]) if name != "gap" else uniform_gap_of(self.tube, self.rig)
+            rows[name] = size * self._variable(f"copies of {name}", 1, intervals, np.ones(intervals))
+            differences = ca.diff(ca.horzcat(value, rows[name]), 1, 1) / size
+            self.program.subject_to(self.label + f"copies of {name}", ca.vec(differences), upper=0.0)
+        return [
+            {**self.rig_values, **{name: row[k] for name, row in rows.items()}} for k in range(intervals if free else 1)
+        ]
+
+    def _design(self, values: Mapping[str, Any]) -> Any:
+        """(2 + VENTS,) scaled clearance and lead, and vents."""
+        lengths = {"clearance": self.rig.clamps.clearance, "lead": self.rig.mold.lead, **values}
+        vents = vent_profile(self.rig, np.linspace(0.0, 1.0, VENTS))
+        return ca.vertcat(lengths["clearance"] / SCALE.length, lengths["lead"] / SCALE.length, vents)
+
     def _demand(self, name: str, expression: Any) -> None:
         """Add one of the constraints of `limits`."""
         low, high = LIMIT_RANGES[name]
@@ -249,7 +274,7 @@ class HeatingBlock(RigCourse):
 
     def _current_nodes(self, circuit: Any, column: Any) -> Any:
         """(1, 1+K) current while the MOSFET conducts at the ends of the intervals, A."""
-        p = heat.Properties.of(column[: len(heat.PROPERTIES)])
+        p = heat.Properties.of(column[: len(heat.PROPERTIES), 0])
         values = {"clearance": self.rig.clamps.clearance, "lead": self.rig.mold.lead, **self.rig_values}
         # At rest the whole tube outside the clamps is at the ambient temperature.
         length = values["clearance"] + values["lead"] + p.L_curved
@@ -257,6 +282,11 @@ class HeatingBlock(RigCourse):
         I_start = p.V_start / heat.loop_resistance(R_half, p)
         degree = self._structure.mesh.degree
         return ca.horzcat(I_start, SCALE.current * circuit[0, degree - 1 :: degree])
+
+
+def _number_of(whole: Any, path: tuple[str, ...]) -> float:
+    """Number among the parts of a dataclass."""
+    return float(reduce(getattr, path, whole))
 
 
 def _with_number(whole: Any, path: tuple[str, ...], value: float) -> Any:

@@ -286,7 +286,7 @@ class RigCourse:
         I_sq_nodes: (1, 1+K) scaled mean square current at the ends of the intervals.
         durations: (1, intervals of heating) copies of the scaled heating time. hold: its duration, s.
         designs: (2 + VENTS, N) scaled clearance and lead, and vents, at every point.
-        column: parameters of tube and rig (`rig_parameters`).
+        column: parameters of tube and rig (`rig_parameters`), the same or one column for every point.
         grid: places of the cells, for temperatures at a position.
 
     Attributes:
@@ -311,7 +311,7 @@ class RigCourse:
         self.resolution, self.mesh, self.hold_time, self.grid = resolution, mesh, hold, grid
         self.z, self.circuit, self.I_sq_nodes, self.designs = z, circuit, I_sq_nodes, designs
         self.durations = durations
-        self.parameters = Parameters.of(column, resolution)
+        self.parameters = Parameters.of(column[:, 0], resolution)
         # Length of the interval of every point: heating time and hold, split by the mesh.
         heating_parts, hold_parts = (np.diff(faces) for faces in mesh.fractions)
         heating = SCALE.duration * ca.repmat(durations * ca.DM(heating_parts).T, mesh.degree, 1)
@@ -321,7 +321,8 @@ class RigCourse:
         values = ca.horzcat(ca.DM.zeros(states, 1), z)
         self.rate = ca.mtimes(values, ca.sparsify(ca.DM(differentiation(mesh)))) / ca.repmat(self.length, states, 1)
         self.I_sq = ca.mtimes(I_sq_nodes, ca.sparsify(ca.DM(interpolation(mesh))))
-        instants = instant(resolution).map("instants", "serial", points, [5], [])
+        shared = [5] if column.size2() == 1 else []
+        instants = instant(resolution).map("instants", "serial", points, shared, [])
         self.equations = instants(z, self.rate, circuit, self.I_sq, designs, column)
 
     # --- time ---------------------------------------------------------------------------------------------------------
