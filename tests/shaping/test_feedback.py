@@ -37,6 +37,7 @@ from tubeopt.shaping.heating.thermal import curved_temperatures, stack, thermal_
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
 from tubeopt.shaping.materials import MDF, STEEL
 from tubeopt.show.heat_report import unlikely
+from tubeopt.show.plots.sheets import safety
 
 from .heating_reference import TUBE, integrate, thesis_rig
 
@@ -87,6 +88,9 @@ def test_a_bare_tube_that_no_thermometer_sees_is_named_with_its_cure() -> None:
     assert f"on {hot:.0f} % of the uncertain rigs the bare tube beside the clamps" in long.concerns[-1]
     assert "clearance_mm" in long.concerns[-1]
     assert cured.concerns == cured.problems
+    assert f"The board stops by itself at {cured.feedback.law.ceiling:.0f} °C." in safety(cured)
+    assert long.concerns[-1] in safety(long)
+    assert not any("by itself" in line for line in safety(replace(cured, feedback=None)))
     told = Success(0.3, 60, "thermocouple", 0.05)
     assert "clearance_mm" in unlikely(told)
     assert "--sensor" not in unlikely(told)

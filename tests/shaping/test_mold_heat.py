@@ -117,6 +117,8 @@ def test_calcium_silicate_comes_out_on_its_numbers(outer: float, hold: float) ->
         assert r.heat == pytest.approx((tube_heat(tube, HeatSpec()) + r.heat_drawn) * 0.1)
         assert r.energy is None  # which battery gives it is not known
         assert r.reasons
+        # No source gives the conductivity of glass-mica over temperature.
+        assert any("taken as constant" in reason for reason in r.reasons) == (r.material.name == "glass_mica")
 
 
 def test_the_name_wins_nothing() -> None:

@@ -176,4 +176,6 @@ def _reasons(rating: MaterialRating, heat: HeatSpec, min_heat: float) -> tuple[s
     ratio = rating.heat_drawn / min_heat
     times = f"{ratio:.2g} times " if ratio > 1 else ""
     reasons.append(f"draws {times}the least heat in {heat.hold_time:g} s")
+    if not m.conductivity_curve:
+        reasons.append("conductivity over temperature not known, taken as constant")
     return tuple(reasons)

@@ -587,6 +587,7 @@ def safety(plan: HeatingPlan) -> list[str]:
         "`tubeopt heat run --port PORT --test-cutout`.",
         *cut.problems,
         "Quench with the current off and the clamps open, tongs in hand; water spits.",
+        *([] if plan.feedback is None else [f"The board stops by itself at {plan.feedback.law.ceiling:.0f} °C."]),
         "Above the limit, or where the tube does not follow the time line: stop.",
         *plan.concerns,
     ]
