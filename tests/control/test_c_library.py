@@ -416,7 +416,8 @@ def test_among_bodies_the_servo_does_what_that_of_python_does(which: str, reques
     options = ServoOptions(speed=0.1, turn_rate=3.0, shift_rate=0.1, min_margin=0.2, clearance=5e-4)
     servo = Servo(robot, (pose.rotations, pose.translations), obstacles=bodies, options=options)
     target, reasons = seed.tip_position + 8e-3 * across, Why(0)
-    for _ in range(60):
+    # After 48 steps the robot of pieces comes to a saddle beside the ball, where round-off decides the side.
+    for _ in range(60 if which == "thesis" else 45):
         known = servo.step(Command(position=target), 1e-3)
         here = servo.guard.before.arm
         pose, _, _, why = library.servo(command(target), contacts_of(here, bodies), 5e-4)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import pytest
 
 from tests.design.tasks import THESIS, two_tubes
-from tests.examples import eccentric_robot
 from tubeopt import DesignTask, InputError, optimize_design
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.design import (
@@ -30,7 +29,6 @@ FREE = (Free("curvature", (0, 1), 0.0, 20.0),)
 
 WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: DesignTask("robot.yaml", FREE), "robot is a str; a design needs a robot"),  # type: ignore[arg-type]
-    (lambda: DesignTask(eccentric_robot(), FREE, (SnapFree(0.1),)), "SnapFree is given for an eccentric robot"),
     (lambda: DesignTask(two_tubes(), ()), "free is empty"),
     (lambda: DesignTask(two_tubes(), (Free("curvature", (2,), 0, 1),)), "names tube 3; the robot has tubes 1 to 2"),
     (lambda: DesignTask(two_tubes(), FREE * 2), "curvature of tube 1 is free twice"),

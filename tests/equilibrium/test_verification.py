@@ -194,7 +194,7 @@ def test_arms_that_are_integrated_together_are_checked_each_for_itself(load: Loa
     assert verifications(arms)[-1].tip_position == pytest.approx(1e-4, rel=1e-3)
 
 
-LOADS = {
+BUNDLE_LOADS = {
     "none": None,
     "tip": Load((0.05, 0.0, 0.02)),
     "moment": Load(moment=(1e-3, 2e-3, 1e-3)),
@@ -206,11 +206,11 @@ LOADS = {
 }
 
 
-@pytest.mark.parametrize("name", LOADS)
+@pytest.mark.parametrize("name", BUNDLE_LOADS)
 def test_bundles_are_confirmed(name: str) -> None:
     """Curves that begin in front of the plate and behind it, and a sheath; one end beyond the others' own lengths."""
     robot = load_robot("configs/bundles/steerable_sheath.yaml")
-    pose = forward_kinematics(robot, np.radians([0, 40, 0]), [-0.02, 0.01, -0.01], load=LOADS[name], verify=True)
+    pose = forward_kinematics(robot, np.radians([0, 40, 0]), [-0.02, 0.01, -0.01], load=BUNDLE_LOADS[name], verify=True)
     check = pose.verification
     assert check is not None
     assert check.tip_position < 1e-10

@@ -26,7 +26,7 @@ from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import run_heating
 from tubeopt.runs.heating_study import Success
 from tubeopt.shaping.firmware.line import SimulatedLine, SimulatedRig
-from tubeopt.shaping.heating.controller import LawState, decide, run_loop, wilson
+from tubeopt.shaping.heating.controller import HALF, LawState, decide, run_loop, wilson
 from tubeopt.shaping.heating.optimal_schedule import solve_ideal
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.replanning import Replanner, planner_for
@@ -126,7 +126,7 @@ def test_the_law_without_gains_gives_what_was_planned() -> None:
     for _ in law.planned:
         count, state = decide(law, state, np.array([25.0]))
         given.append(count[0])
-    assert np.abs(np.cumsum(given) - np.cumsum(law.planned)).max() <= 0.5 + 1e-9
+    assert np.abs(np.cumsum(given) - np.cumsum(law.planned)).max() <= HALF + 1e-9
 
 
 def test_the_law_waits_for_a_cold_tube_and_gives_up_in_the_end() -> None:

@@ -273,3 +273,10 @@ def solved(square: Array, slope: Array) -> Array:
     scale = np.sqrt(np.where(diagonal > 0, diagonal, np.inf))
     matrix = square / np.outer(scale, scale)
     return np.asarray(np.linalg.lstsq(matrix, slope / scale, rcond=1e-13)[0] / scale)
+
+
+def inverse_of(square: Array) -> Array:
+    """Pseudoinverse (Q, Q) of normal equations (Q, Q)."""
+    # Scaled to ones on the diagonal: of parameters in m and in rad the pseudoinverse would drop the smaller.
+    scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
+    return np.asarray(np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale))

@@ -32,6 +32,7 @@ from ..solvers.robust_least_squares import (
     Weights,
     bounded_step,
     descend,
+    inverse_of,
     normal_equations,
     weighted_sums,
 )
@@ -464,10 +465,7 @@ class FitProblem:
     def covariance(self) -> Array:
         """(P', P') covariance of the parameters that are not fixed."""
         square, _ = normal_equations(self.model, self.weights(), self.fit.state, self.fit.residuals, self.fit.jacobian)
-        # Scaled to ones on the diagonal: of parameters in m and in rad the pseudoinverse would drop the smaller.
-        scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
-        inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
-        return np.asarray(inverse[: len(self.free), : len(self.free)])
+        return inverse_of(square)[: len(self.free), : len(self.free)]
 
     def answer(self, report: Progress) -> Fit:
         """Result of the fit with its statistics."""

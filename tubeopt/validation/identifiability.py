@@ -188,10 +188,7 @@ def entangled_history(model: Sessions, fit: RobustDescent[ParameterState[Registr
         return []
     parameters = choose_parameters(model.robot, model.recordings, names, model.method)
     every = [*model.parameters, *parameters]
-    start = np.append(fit.state.x, [p.start for p in parameters])
-    count = len(model.parameters)
-    slopes = model.with_parameters(every).jacobian(ParameterState(start, fit.state.registration), skip=count)
-    slopes[..., :count] = fit.jacobian[..., :count]
+    count, slopes = len(model.parameters), model.slopes_with(fit, parameters)
     flat = slopes.reshape(-1, slopes.shape[2])
     usual = [k for k, p in enumerate(every) if not p.effect.history] + list(range(len(every), flat.shape[1]))
     remarks = []

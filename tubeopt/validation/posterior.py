@@ -22,7 +22,7 @@ import numpy as np
 import scipy
 
 from ..robots.calibration import Posterior
-from ..solvers.robust_least_squares import RobustDescent, Weights, solved, weighted_sums
+from ..solvers.robust_least_squares import RobustDescent, Weights, inverse_of, solved, weighted_sums
 from ..typing import Array, Index, Mask
 from .effects import EFFECTS, MOUNTS
 from .model import ParameterState
@@ -223,9 +223,7 @@ def posterior_of(
     """
     count, more = len(model.parameters), considered(model, chosen, per_recording)
     every = [*model.parameters, *more]
-    state = ParameterState(np.append(fit.state.x, [p.start for p in more]), fit.state.registration)
-    slopes = model.with_parameters(every).jacobian(state, skip=count)
-    slopes[..., :count], slopes[..., len(every) :] = fit.jacobian[..., :count], fit.jacobian[..., count:]
+    slopes = model.slopes_with(fit, more)
     w = weights.of(fit.residuals)
     prior = np.zeros(slopes.shape[2])
     prior[: len(every)] = [*weights.prior**-2.0, *(p.prior**-2.0 for p in more)]
@@ -240,9 +238,7 @@ def posterior_of(
         # What a fit to fewer rows has changed.
         gradient = gradient - square[:, fitted] @ solved(square[np.ix_(fitted, fitted)], gradient[fitted])
         square += np.diag(prior)
-        # Scaled to ones on the diagonal: of parameters in m and in rad the pseudoinverse would drop the smaller.
-        scale = np.sqrt(np.maximum(np.diag(square), 1e-300))
-        inverse = np.linalg.pinv(square / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+        inverse = inverse_of(square)
         gains, shift = np.einsum("qr,var,v->qva", inverse, slopes, w * used), -inverse @ gradient
         spread = [each.spread(places[kind], gains[:, kind]) for each, kind in zip(misfits, kinds, strict=True)]
         return np.asarray((inverse * prior) @ inverse + np.outer(shift, shift) + sum(spread))
@@ -253,7 +249,8 @@ def posterior_of(
     misfit = np.sqrt(tips.size**2 + max(tips.noise**2 - white**2, 0.0))
     last = len(model.models) - 1
     own = [k for k, p in enumerate(every) if p.recording in (None, last) and sizes[k] > 0]
-    named = [(*_in_fitted(every[k], float(state.x[k])), k) for k in own]
+    x = [*fit.state.x.tolist(), *(p.start for p in more)]
+    named = [(*_in_fitted(every[k], x[k]), k) for k in own]
     motion = fit.state.registration.parts[-1]
     first = len(every) + (0 if model.shared else last) * model.models[0].freedoms
     # Turns and shifts of the plate, which the tips follow in its frame.

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from ..robots.robot import Robot
+from ..solvers.robust_least_squares import RobustDescent
 from ..typing import Array, Index, Mask
 from .measurements import Measurements, deal, passes
 from .model import ArmModel, ParameterState
@@ -99,6 +100,14 @@ class Sessions:
         copied.models = tuple(m.with_parameters([copied.parameters[j] for j in columns]) for m, columns in each)
         copied.start = ParameterState(np.array([p.start for p in parameters]), self.start.registration)
         return copied
+
+    def slopes_with(self, fit: RobustDescent[ParameterState[Registrations]], more: Sequence[Parameter]) -> Array:
+        """Derivatives (V, 3, P + Q + F) of a fit by its parameters, Q further ones at their start, and registration."""
+        count, every = len(self.parameters), [*self.parameters, *more]
+        state = ParameterState(np.append(fit.state.x, [p.start for p in more]), fit.state.registration)
+        slopes = self.with_parameters(every).jacobian(state, skip=count)
+        slopes[..., :count], slopes[..., len(every) :] = fit.jacobian[..., :count], fit.jacobian[..., count:]
+        return slopes
 
     @property
     def recordings(self) -> tuple[Measurements, ...]:

@@ -121,13 +121,13 @@ static void draw(Workspace *w, const double *alpha, const State *state, Answer *
 static int as_it_was(const tubeopt_joints *at, Workspace *w) {
     double theta[MOST_POINTS][N], turn[N];
     const Answer *last = arm->answers + arm->here;
-    if (!lay_out(&ROBOT, at->translations, NULL, &w->layout)) return 0;
-    if (!pose_unknowns(&w->fine, &w->layout, &ROBOT, &FINE, 0)) return 0;
-    if (!pose_unknowns(&w->coarse, &w->layout, &ROBOT, &COARSE, 0)) return 0;
+    if (!lay_out(&ROBOT, at->translations, NULL, w->layout)) return 0;
+    if (!pose_unknowns(&w->fine, w->layout, &ROBOT, &FINE, 0)) return 0;
+    if (!pose_unknowns(&w->coarse, w->layout, &ROBOT, &COARSE, 0)) return 0;
     for (int i = 0; i < N; i++) turn[i] = at->rotations[i] - arm->joints.rotations[i];
     Guess guess = {last->pieces * STEPS + 1, last->points, 1, N, last->arc_length, last->rotation[0], last->torsion[0],
                    last->point, last->point_rotation[0], turn, arm->joints.translations};
-    sample(&w->fine, &guess, theta);
+    sample(&w->fine, &guess, 0, theta);
     to_unknowns(&w->fine, at->rotations, theta, w->state.z);
     return 1;
 }
@@ -136,7 +136,7 @@ static int as_it_was(const tubeopt_joints *at, Workspace *w) {
 static int glide(Workspace *w, const double *alpha) {
     double step[MOST_UNKNOWNS];
     const Unknowns *q = &w->fine;
-    int convex = downhill(q, &w->state, w->matrix, step);
+    int convex = downhill(q, &w->state, YES, &w->chain, step);
     double size = turn_of(q, step), scale = size > GLIDE ? GLIDE / size : 1;
     if (size <= COARSE_STEP && convex) return 1;
     if (size <= COARSE_STEP) { /* on a saddle: to either side */
@@ -157,12 +157,12 @@ static int glide(Workspace *w, const double *alpha) {
 static int twisted_evenly(const tubeopt_joints *at, Workspace *w) {
     double theta[MOST_POINTS][N];
     const Unknowns *q = &w->fine;
-    if (!lay_out(&ROBOT, at->translations, NULL, &w->layout)) return 0;
-    if (!pose_unknowns(&w->fine, &w->layout, &ROBOT, &FINE, 0)) return 0;
-    if (!pose_unknowns(&w->coarse, &w->layout, &ROBOT, &COARSE, 0)) return 0;
+    if (!lay_out(&ROBOT, at->translations, NULL, w->layout)) return 0;
+    if (!pose_unknowns(&w->fine, w->layout, &ROBOT, &FINE, 0)) return 0;
+    if (!pose_unknowns(&w->coarse, w->layout, &ROBOT, &COARSE, 0)) return 0;
     for (int x = 0; x < q->points; x++)
         for (int i = 0; i < N; i++) {
-            double base = at->rotations[i], held = w->layout.transmission[i], whole = fmax(ROBOT.whole[i], 1e-9);
+            double base = at->rotations[i], held = w->layout->transmission[i], whole = fmax(ROBOT.whole[i], 1e-9);
             theta[x][i] = base + (INPUT[2 * N + i] - base) * fmin((held + q->s[x]) / whole, 1);
         }
     to_unknowns(q, at->rotations, theta, w->state.z);
@@ -188,7 +188,7 @@ ASKED(let_go) int let_go(int evenly) {
         there = glide(w, at.rotations);
     }
     arm->ball.turn = 0;
-    if (!there || newton(&w->fine, at.rotations, &w->state, w->matrix, MOST_ITERATIONS, &iterations, &next->contraction))
+    if (!there || newton(&w->fine, at.rotations, &w->state, &w->chain, MOST_ITERATIONS, &iterations, &next->contraction))
         return 0;
     judge(at.rotations, w, next);
     if (!(next->margin > 0)) return 0;
@@ -220,8 +220,8 @@ ASKED(certificate) double certificate(void) {
     State *state = &w->state;
     arm->fresh = 0;
     arm->before = NULL;
-    if (!lay_out(&ROBOT, at.translations, NULL, &w->layout)) return NAN;
-    if (!pose_unknowns(&w->fine, &w->layout, &ROBOT, &FINE, 0)) return NAN;
+    if (!lay_out(&ROBOT, at.translations, NULL, w->layout)) return NAN;
+    if (!pose_unknowns(&w->fine, w->layout, &ROBOT, &FINE, 0)) return NAN;
     if (!q->size) return 1;
     for (double factor = 1; factor > LEAST_FACTOR; factor /= 2) {
         for (int x = 0; x < q->points; x++) {
@@ -238,17 +238,16 @@ ASKED(certificate) double certificate(void) {
             }
         }
         double mode[MOST_UNKNOWNS];
-        second_variation(q, state, w->matrix);
-        if (!cholesky(w->matrix, q->size, STRIDE)) continue;
+        if (!factor_variation(q, state, 1, &w->chain)) continue;
         anywhere(mode, q->size);
-        return 1 + (least_eigenvalue(w->matrix, q->size, STRIDE, EIGENVALUE_ERROR, 0, mode) - 1) / factor;
+        return 1 + (least_eigenvalue((Factored){q, &w->chain, NULL, NULL}, EIGENVALUE_ERROR, 0, 0, mode) - 1) / factor;
     }
     return NAN;
 }
 
 /* The tip of a tube: alpha + row . z + depth times a coordinate of its own, as stability/energy.py holds it. */
 typedef struct {
-    int first, count;
+    int tube, first, count;
     const double *row;
     double depth, twist;
 } Hold;
@@ -257,7 +256,7 @@ static Hold hold_of(const Unknowns *q, int tube) {
     const Layout *l = q->layout;
     int p = 0;
     while (p < l->pieces && l->start[p] < l->end[tube] - ROUND_OFF_LENGTH) p++;
-    Hold h = {q->first[tube], q->count[tube], q->beyond + q->first[tube], 0, 0};
+    Hold h = {tube, q->first[tube], q->count[tube], q->beyond + q->first[tube], 0, 0};
     h.depth = sqrt(fmax(q->reach[p][tube] - dot(h.row, h.row, h.count), 1e-30));
     return h;
 }
@@ -276,20 +275,13 @@ static double held(const Unknowns *q, const double *alpha, const Hold *holds, St
 
 /* Newton's method on it from state->z, as damped as `descend`; NAN where it does not end. */
 static double held_minimum(const Unknowns *q, const double *alpha, const Hold *holds, Workspace *w) {
-    double step[MOST_UNKNOWNS], energy = held(q, alpha, holds, &w->state);
+    double step[MOST_UNKNOWNS], springs[N] = {0}, energy = held(q, alpha, holds, &w->state);
+    for (int k = 0; k < 2; k++) springs[holds[k].tube] = 1 / (holds[k].depth * holds[k].depth);
     for (int round = 0; round < 60; round++) {
-        for (double shift = 0; shift < 1e6; shift = shift ? 4 * shift : 0.1) {
-            second_variation(q, &w->state, w->matrix);
-            for (int r = 0; r < q->size; r++) w->matrix[(size_t)r * STRIDE + r] += shift;
-            for (int k = 0; k < 2; k++)
-                for (int a = 0; a < holds[k].count; a++)
-                    for (int b = a; b < holds[k].count; b++)
-                        w->matrix[(size_t)(holds[k].first + a) * STRIDE + holds[k].first + b] +=
-                            holds[k].row[a] * holds[k].row[b] / (holds[k].depth * holds[k].depth);
-            if (cholesky(w->matrix, q->size, STRIDE)) break;
-        }
+        for (double shift = 0; shift < 1e6; shift = shift ? 4 * shift : 0.1)
+            if (factor_held(q, &w->state, 1 + shift, springs, &w->chain)) break;
         for (int r = 0; r < q->size; r++) step[r] = -w->state.gradient[r];
-        cholesky_solve(w->matrix, q->size, STRIDE, step);
+        solve_variation(q, &w->chain, step);
         double size = turn_of(q, step), scale = size > LONGEST_STEP ? LONGEST_STEP / size : 1;
         double slope = dot(w->state.gradient, step, q->size);
         if (!isfinite(size)) return NAN;
@@ -315,8 +307,8 @@ ASKED(energy_map) int energy_map(int one, int two, int samples) {
     double row[MOST_UNKNOWNS] = {0};
     arm->fresh = 0;
     arm->before = NULL;
-    if (!lay_out(&ROBOT, at.translations, NULL, &w->layout)) return 0;
-    if (!pose_unknowns(q, &w->layout, &ROBOT, &COARSE, 0) || !q->count[one] || !q->count[two]) return 0;
+    if (!lay_out(&ROBOT, at.translations, NULL, w->layout)) return 0;
+    if (!pose_unknowns(q, w->layout, &ROBOT, &COARSE, 0) || !q->count[one] || !q->count[two]) return 0;
     Hold holds[2] = {hold_of(q, one), hold_of(q, two)};
     for (int i = 0; i < samples; i++) {
         memcpy(w->state.z, row, q->size * sizeof(double));

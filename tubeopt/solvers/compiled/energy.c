@@ -321,13 +321,14 @@ ALWAYS_INLINE void lay_element(const Unknowns *q, const State *state, int x, int
         for (int j = from; j < from + TAIL; j++) h[r * BROAD + j] = REAL(0.0);
 }
 
-/* Factors of the second variation, with `diagonal` in place of 1; 0 where it is not positive definite, and so, with 1, the
-   state not stable. */
-static Truth factor_variation(const Unknowns *q, const State *state, Real diagonal, Chain *chain) {
+/* Factors of the second variation, with `diagonal` in place of 1, of tubes whose ends springs (N) hold, or NULL; 0 where it
+   is not positive definite. */
+static Truth factor_held(const Unknowns *q, const State *state, Real diagonal, const double *springs, Chain *chain) {
     Real ahead[N][N];
     Truth positive = YES;
     int k = q->tableau->degree, row[N];
     memset(ahead, 0, sizeof ahead);
+    for (int i = 0; i < N && springs; i++) ahead[i][i] = REAL(springs[i]);
     for (int x = q->points - k; x >= 0 && ANY(positive); x -= k) {
         Real *h = chain->matrix[x / k];
         int from = FILLED(rows_of(q, x, row));
@@ -340,6 +341,11 @@ static Truth factor_variation(const Unknowns *q, const State *state, Real diagon
             for (int j = i; j < N; j++) ahead[i][j] = ahead[j][i] = h[(from + i) * BROAD + from + j];
     }
     return positive;
+}
+
+/* The same of free tubes: with 1, not positive definite is not stable. */
+static Truth factor_variation(const Unknowns *q, const State *state, Real diagonal, Chain *chain) {
+    return factor_held(q, state, diagonal, NULL, chain);
 }
 
 /* x <- (1 + L' B V'' L)^-1 x */
