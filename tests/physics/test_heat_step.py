@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tubeopt.physics.heat import PROPERTIES, Resolution, Volumes
-from tubeopt.physics.heat_functions import LUMPED, instant_functions, step_function, volumes_function
+from tubeopt.physics.heat_functions import LUMPED, instant_function, step_function, volumes_function
 
 GRID = Resolution(2, 3, 3, 4, shells=4)
 
@@ -34,5 +34,5 @@ def test_a_step_of_any_length_keeps_the_heat_of_an_insulated_rig(span: float) ->
     moved = capacity * (after - cells)
     assert np.abs(moved).sum() > 1e-3 * span / (1 + span)
     assert abs(moved.sum()) < 1e-11 * np.abs(capacity * cells).sum()
-    stored = instant_functions(GRID)["stored"]
+    stored = instant_function(GRID, "stored")
     assert float(stored(after, lumped, p, q)) == pytest.approx(float(stored(cells, lumped, p, q)), rel=1e-11)

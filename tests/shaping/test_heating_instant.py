@@ -11,7 +11,7 @@ import pytest
 
 from tubeopt import Rig
 from tubeopt.physics.heat import Resolution
-from tubeopt.physics.heat_functions import instant_functions
+from tubeopt.physics.heat_functions import instant_function
 from tubeopt.robots.materials import ThermalData
 from tubeopt.shaping.heating.rig import gap_conductance
 from tubeopt.shaping.heating.simulation import (
@@ -195,7 +195,7 @@ def test_the_jacobian_of_the_implicit_steps_is_that_of_the_flows() -> None:
     model = thermal_model(ideal_tube(emissivity=0.3), rig_of(GLASS_MICA), GRID)
     cells, lumped = states(1, model.T_amb)
     n, m = cells.shape[1:]
-    columns = instant_functions(GRID)["linearised"](cells[0].T, model.properties[0], model.volumes[0])
+    columns = instant_function(GRID, "linearised")(cells[0].T, model.properties[0], model.volumes[0])
     heat, own, inward, along = (column.full().T[None] for column in columns)
     expected = np.zeros((n, m, n, m))
     for i in range(n):

@@ -46,9 +46,16 @@ def volumes_function(resolution: Resolution) -> ca.Function:
     return ca.Function("volumes", symbols, [v.column])
 
 
-@lru_cache(maxsize=16)
-def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
-    """Functions of the state of one rig, for its simulation.
+class _Expressions(NamedTuple):
+    """Inputs and outputs of a function."""
+
+    inputs: list[ca.SX]
+    outputs: list[ca.SX]
+
+
+@lru_cache(maxsize=128)
+def instant_function(resolution: Resolution, name: str) -> ca.Function:
+    """Function of the state of one rig, for its simulation.
 
     Inputs, where they matter: temperatures, lumped state, duty, properties, column of volumes. Temperatures of cells
     are (1 + M, n); shells without a mold have no effect.
@@ -59,6 +66,13 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     (n,): this one, its part through the tube, the terminal voltage, and the resistance of half the tube. linearised:
     heat capacities, 1 where there is no mold, and the `frozen_jacobian`. stored: heat above ambient in the whole rig.
     """
+    inputs, outputs = _instant(resolution)[name]
+    return ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
+
+
+@lru_cache(maxsize=16)
+def _instant(resolution: Resolution) -> dict[str, _Expressions]:
+    """Expressions of each `instant_function`; functions of all of them would take eight times as long."""
     rows, n = 1 + resolution.shells, resolution.cells
     cells, tube = ca.SX.sym("cells", rows, n), ca.SX.sym("tube", n)
     lumped, duty = ca.SX.sym("lumped", LUMPED), ca.SX.sym("duty")
@@ -85,7 +99,7 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
     current = _circuit(R_half, lumped, duty, p).I_on
     terminal = heat.open_circuit_voltage(lumped[CHARGE], p) - lumped[SAG] - p.R_internal * current
     circuit = ca.vertcat(current, current * heat.tube_fraction(R_half, p), terminal, R_half)
-    functions = {
+    expressions = {
         "rates": ([cells, lumped, duty, column, q], [cell_rates, lumped_rates]),
         "stage": ([cells, lumped, duty, column, q, start], [heat.by_cell(staged.T.tube, staged.T.mold)]),
         # Joule heat enters the tube, leak heat the first shell; the other rows do not depend on duty.
@@ -94,13 +108,10 @@ def instant_functions(resolution: Resolution) -> dict[str, ca.Function]:
         "linearised": ([cells, column, q], [capacity, *heat.frozen_jacobian(T, cells, v, p)]),
         "stored": ([cells, lumped, column, q], [2 * heat.stored_heat(T, v, p)]),
     }
-    warming = ca.Function("warming", *functions["warming"])
+    warming = ca.Function("warming", *expressions["warming"])
     ends = [warming(cells, lumped, level, column, q)[0, :].T for level in (0.0, 1.0)]
-    functions["span"] = [cells, lumped, column, q], [*ends, I_on]
-    return {
-        name: ca.Function(name, inputs, [ca.densify(value) for value in outputs], {"cse": True})
-        for name, (inputs, outputs) in functions.items()
-    }
+    expressions["span"] = [cells, lumped, column, q], [*ends, I_on]
+    return {name: _Expressions(*each) for name, each in expressions.items()}
 
 
 class _Circuit(NamedTuple):
@@ -192,11 +203,11 @@ def step_function(resolution: Resolution) -> ca.Function:
     Both consist of many small tridiagonal matrices. The lumped states are slow: their Jacobian is left out, and they
     follow the cells by the trapezoidal rule.
     """
-    functions = instant_functions(resolution)
-    rates, inputs = functions["rates"], functions["rates"].sx_in()
+    rates, linearised, staged = (instant_function(resolution, name) for name in ("rates", "linearised", "stage"))
+    inputs = rates.sx_in()
     cells, lumped, duty, p, q = inputs
     h = ca.SX.sym("span")
-    capacity, same_cell, outward, along = functions["linearised"](cells, p, q)
+    capacity, same_cell, outward, along = linearised(cells, p, q)
     # Losses to clamp and air are in the second factor, which is exact where a cell has no shells.
     across = -outward - ca.vertcat(ca.DM(1, cells.size2()), outward[:-1, :])
     # C - gamma h (A + B) = (C - gamma h A) C^-1 (C - gamma h B) but for gamma^2 h^2 A C^-1 B.
@@ -210,7 +221,7 @@ def step_function(resolution: Resolution) -> ca.Function:
     rate, lumped_rate = rates(cells, lumped, duty, p, q)
     k_1 = stage(rate)
     predicted = lumped + h * lumped_rate
-    k_2 = stage(functions["stage"](cells + h * k_1, predicted, duty, p, q, cells) - 2 * k_1)
+    k_2 = stage(staged(cells + h * k_1, predicted, duty, p, q, cells) - 2 * k_1)
     cells_next = cells + h * (1.5 * k_1 + 0.5 * k_2)
     # Rates at the end and not at u + h k_1, which overshoots where the equations are stiff.
     lumped_next = lumped + 0.5 * h * (lumped_rate + rates(cells_next, predicted, duty, p, q)[1])

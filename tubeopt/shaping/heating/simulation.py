@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ...block.transcription.buffered import mapped
 from ...physics.heat import GRIP
-from ...physics.heat_functions import CIRCUIT, CLAMP, DRAWN, LOST, LUMPED, instant_functions, step_function
+from ...physics.heat_functions import CIRCUIT, CLAMP, DRAWN, LOST, LUMPED, instant_function, step_function
 from ...solvers.compiled.heating import Marcher, Windows, heating_kernel
 from ...solvers.time_limit import check_time
 from ...typing import Array
@@ -65,7 +65,7 @@ def _evaluate(name: str, model: ThermalModel, cells: Array, *inputs: Array) -> l
     A model of one member may be evaluated in B states.
     """
     b = len(cells)
-    function = mapped(instant_functions(model.resolution)[name], b)
+    function = mapped(instant_function(model.resolution, name), b)
     flat = cells.reshape(function.inputs[0].shape)
     return [value.reshape(b, -1).copy() for value in function(flat, *inputs, model.properties, model.volumes)]
 
