@@ -19,12 +19,14 @@ from typing import Annotated, Any
 import numpy as np
 import scipy
 
+from ...block.transcription.tableau import tableau
 from ...display import Displayed
 from ...errors import InputError, SolveError, instance
 from ...files.csv_file import to_csv
 from ...files.field_metadata import form, key, unit
 from ...files.units import TO_MM
-from ...robots.pieces import Piece, breaks_of, values, vary
+from ...physics.shape import GAUSS_POINTS, carry_function
+from ...robots.pieces import breaks_of, values, vary
 from ...robots.tubes import Tube
 from ...typing import Array, StatusEnum
 from ..materials import mold_remarks
@@ -110,31 +112,25 @@ def helix_of(held: Tube) -> tuple[float, float] | None:
 
 
 def bend_in_space(held: Tube) -> Winding:
-    """Bend that starts at the origin along z: R' = R hat(u*), p' = R e3, integrated to 1e-12."""
-    s, rows = [0.0], [np.concatenate([np.zeros(3), np.eye(3).ravel()])]
-    curvature = max(held.curvature, 1.0)
+    """Bend that starts at the origin along z, by the integrator of arms in frames without the tube's own twist."""
+    s, turn, poses = np.zeros(1), 0.0, np.append(np.eye(3).ravel(), np.zeros(3))[:, None]
+    curvature, rule = max(held.curvature, 1.0), tableau("gauss", len(GAUSS_POINTS))
     # An arc of length c rises by kappa c^2 / 8 over its chord.
     step = min(math.sqrt(8 * SAGITTA / curvature), CHORD_TURN / curvature, 1e-3)
     for piece in held.chain:
         breaks = breaks_of(piece.precurvature, piece.length)
         for low, high in pairwise(breaks):
-            samples = np.linspace(low, high, max(2, math.ceil((high - low) / step) + 1))
-
-            def rate(x: float, y: Array, piece: Piece = piece) -> Array:
-                ux, uy, uz = (float(values(q, np.array([x]))[0]) for q in piece.precurvature)
-                frame = y[3:].reshape(3, 3)
-                hat = np.array([[0.0, -uz, uy], [uz, 0.0, -ux], [-uy, ux, 0.0]])
-                return np.concatenate([frame[:, 2], (frame @ hat).ravel()])
-
-            states = scipy.integrate.solve_ivp(
-                rate, (low, high), rows[-1], method="DOP853", t_eval=samples, rtol=1e-11, atol=1e-13
-            ).y.T
-            s += (s[-1] + samples[1:] - low).tolist()
-            rows += list(states[1:])
-    table = np.array(rows)
-    tangents = table[:, 3:].reshape(-1, 3, 3)[:, :, 2]
-    tangents = tangents / np.linalg.norm(tangents, axis=1)[:, None]
-    return Winding(np.array(s), table[:, :3], tangents, slice(0, len(s)))
+            count = max(1, math.ceil((high - low) / step))
+            h = (high - low) / count
+            points = low + h * (np.arange(count)[:, None] + GAUSS_POINTS)
+            x, y, z = (values(q, points.ravel()).reshape(points.shape) for q in piece.precurvature)
+            before = turn + h * np.append(0.0, np.cumsum(z @ rule.weights))
+            angle = before[:-1, None] + h * z @ rule.matrix.T
+            bend = np.stack([x * np.cos(angle) - y * np.sin(angle), x * np.sin(angle) + y * np.cos(angle)], axis=2)
+            carried = carry_function().mapaccum(count)(poses[:, -1], bend.reshape(count, -1).T, np.full(count, h)[None])
+            turn, poses = float(before[-1]), np.hstack([poses, carried.full()])
+            s = np.append(s, s[-1] + h * np.arange(1, count + 1))
+    return Winding(s, poses[9:].T, poses[6:9].T, slice(0, len(s)))
 
 
 @dataclass(frozen=True)
