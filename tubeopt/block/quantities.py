@@ -239,7 +239,7 @@ class Quantities:
         return self._look(Quantity("certificate", at=tuple(row.tolist())))
 
     def order_reserve(self, translations: Sequence[float]) -> Any:
-        """Own lengths, m, by which the tubes of a bundle robot differ more than bending can change, for all pairs.
+        """Reserves of the order of tube ends of a bundle robot, m, for all pairs: what bending cannot take away.
 
         The certificate of a bundle at the same translations (n,) is a proof where they are above 0. For designs only.
         """

@@ -408,7 +408,7 @@ class _Channels:
 
     @property
     def reach(self) -> float:
-        """Arc length up to which loads per length act: own length of the longest tube in front of the plate, m."""
+        """End of loads per length, m: own length of the longest tube in front of the plate."""
         each = self.equilibrium
         own = [tube.length - tube.straight_length for tube in each.robot.tubes] + each.translations
         return float(own.max())

@@ -478,7 +478,7 @@ class _MirrorProblem:
     mirror: _Mirror
     bent: tuple[bool, ...]
     held: Array
-    """Independent joint values (m,), of which the translations are kept unless they are unknowns."""
+    """Independent joint values (m,). Their translations are kept, unless translations are unknowns."""
     free: bool
     """True if the translations are unknowns."""
     miss: Callable[[Array], Miss]

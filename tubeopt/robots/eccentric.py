@@ -113,7 +113,7 @@ def buffered_tubes(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot
                 f"must move it by less than {STEEPEST:.3g} times the length"
             )
         bend, ei = buffer_bend(shift, buffer.length), float(tube.bending_stiffness)
-        # The moment is a pair of forces at the ends of the guide, one of which carries the force across, too.
+        # A pair of forces at the ends of the guide carries the moment; one of them carries the force across, too.
         pressed = ei * (2 * bend.curvature / (buffer.guide or math.inf) + bend.across)
         room = buffer.clearance / 2 if shift else 0.0
         longer, shorter = (buffer_bend(shift + way * room, buffer.length).length for way in (1, -1))

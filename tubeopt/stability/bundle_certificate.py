@@ -258,8 +258,9 @@ def bundle_proof(bundle: Bundle) -> Proof:
 
 
 def proof_parts(bundle: Bundle) -> Array | None:
-    """Numbers whose signs decide the proof: the bound of Q / T if boundaries keep their order; then the reserves (m) of
-    all pairs of tubes, in the order of `combinations`. None if the tubes curve too tightly.
+    """Bound of Q / T, and reserves (m) of all pairs of tubes, by `combinations`; a proof needs all above 0.
+
+    The bound holds if boundaries keep their order. None if the tubes curve too tightly.
 
     Tubes at one offset, and those without a boundary in front of the plate, have the length of the arm as reserve.
     """

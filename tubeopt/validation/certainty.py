@@ -262,7 +262,7 @@ def uncertainty(equilibrium: Equilibrium, probabilities: Sequence[float] = PROBA
         tuple(probabilities),
         covariance,
         quantiles[:, None] * np.sqrt(np.diag(covariance)),
-        # A ball whose radius is that of the longest axis holds at least as much as the ellipsoid.
+        # The ball with the longest axis as radius holds at least as much as the ellipsoid.
         longest * np.sqrt(scipy.special.chdtri(3, 1 - np.array(probabilities))),
         _least_margins(reals, e, slopes.margin, joints, probabilities),
         distances,

@@ -110,11 +110,11 @@ class Contact:
         return self.evaluate(rotations, state.x + step)
 
     def renewed(self, state: ContactState) -> tuple[ContactState, Array]:
-        """State whose contact measures slips from there, and the relative rotations (R,) that it measures them from."""
+        """State from which slips are measured, and its relative rotations (R,)."""
         return state, state.relative_rotations
 
     def form(self, state: ContactState) -> tuple[Array, Array]:
-        """Second variation, whose smallest eigenvalue is the margin, and the rows in its coordinates."""
+        """Second variation and the rows in its coordinates. Its smallest eigenvalue is the margin."""
         return state.hessian, self.rows
 
     def round_off(self, state: ContactState) -> float:
@@ -485,7 +485,7 @@ class BundleContact:
         return contact.of(rotations, elastic)
 
     def renewed(self, state: ContactState) -> tuple[ContactState, Array]:
-        """State whose contact measures slips from there, and the relative rotations (R,) that it measures them from."""
+        """State from which slips are measured, and its relative rotations (R,)."""
         material, none = Material(state.elastic, self.rotations, self.translations), np.zeros(len(state.rows))
         contact = replace(self, problem=state.elastic.problem, before=material)
         return replace(state, contact=contact, relative_rotations=none), none
@@ -524,7 +524,7 @@ class BundleContact:
         return ContactState(*parts, slip, by_x, place.torque * np.where(at_points, covered, 1.0), by_kappa)
 
     def form(self, state: ContactState) -> tuple[Array, Array]:
-        """Second variation, whose smallest eigenvalue is the margin, and the rows in its coordinates."""
+        """Second variation and the rows in its coordinates. Its smallest eigenvalue is the margin."""
         basis = margin_basis(state.elastic)
         return basis.T @ state.hessian @ basis, state.rows @ basis
 

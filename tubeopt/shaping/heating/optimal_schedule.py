@@ -282,7 +282,7 @@ def _start_at(
 
 
 def _with_other_limit(guess: Ideal, nlp: Program) -> Multipliers:
-    """Multipliers of a solution whose limit was bounds where that of a program is constraints, or the reverse."""
+    """Multipliers for a program with its limit as constraints, from a solution with bounds; or the reverse."""
     s, (of_x, of_g) = guess.structure, guess.multipliers
     first = sum(nlp.sizes[name] for name in ("equations", "same", "low", "high"))
     tubes = np.zeros((s.points, s.states), dtype=bool)
