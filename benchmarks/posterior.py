@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -62,28 +63,46 @@ def draw(seed: int, *, rubs: bool, unfitted: float) -> tuple[dict[str, float], d
     return known, hidden
 
 
-def setup_of(values: dict[str, float]) -> Setup:
-    """All numbers of the true robot."""
-    first = Setup.of(ROBOT)
+def setup_of(values: dict[str, float], drawn: ConcentricRobot = ROBOT) -> Setup:
+    """All numbers of the true robot, from those of its drawing."""
+    first = Setup.of(drawn)
     out, order = first.copy(), list(EFFECTS)
     split = [(*name.rpartition("_")[::2], x) if name[-1].isdigit() else (name, "", x) for name, x in values.items()]
     for kind, number, value in sorted(split, key=lambda each: order.index(each[0])):
-        which = [int(number) - 1] if number else range(ROBOT.n_tubes)
+        which = [int(number) - 1] if number else range(drawn.n_tubes)
         EFFECTS[kind].change(out, first, which, value, False)
     return out
 
 
-def measure(setup: Setup, rows: int, seed: int, *, poses: bool) -> Measurements:
+@dataclass(frozen=True)
+class Way:
+    """Path of a recording."""
+
+    phase: tuple[float, ...] = (0.3, 1.9, 4.0, 5.1)
+    """Phases of the joints, rad."""
+    turn: float = 1.5
+    """Size of the waves of the rotations, rad."""
+    frame: int | None = None
+    """Seed of the tracker's frame; None: that of the recording."""
+
+
+PATH = Way()
+
+
+def measure(
+    setup: Setup, rows: int, seed: int, *, poses: bool = False, drawn: ConcentricRobot = ROBOT, path: Way = PATH
+) -> Measurements:
     """A path there and back, then half as far and twice as fast, as the laboratory records it."""
     time = np.arange(rows) / RATE
     last = time[-1]
     slow, fast = 0.4 * last - np.abs(time - 0.4 * last), 2 * (0.1 * last - np.abs(time - 0.9 * last))
     position = np.where(time < 0.8 * last, slow, fast)[:, None]
-    speed, phase = np.array([0.23, 0.31, 0.19, 0.29]), np.array([0.3, 1.9, 4.0, 5.1])
+    speed = np.array([0.23, 0.31, 0.19, 0.29])
+    phase = np.array(path.phase)
     waves = np.sin(speed * position + phase) + 0.6 * np.sin(2.3 * speed * position + 2 * phase)
-    read = waves * [1.4, 1.6, 14 * MM, 9 * MM] - [0.0, 0.0, 10 * MM, 15 * MM]
+    read = waves * [path.turn, path.turn, 14 * MM, 9 * MM] - [0.0, 0.0, 10 * MM, 15 * MM]
     m = Measurements(read[:, :2], read[:, 2:], np.zeros((rows, 3)), time=time)
-    joints, robot = Timeline.of(m).driven(setup.drives, np.zeros(2)), setup.robot(ROBOT)
+    joints, robot = Timeline.of(m).driven(setup.drives, np.zeros(2)), setup.robot(drawn)
     friction = friction_of(robot)
     if friction is None:
         result = solve_poses(robot, *joints, np.zeros(1))
@@ -91,8 +110,8 @@ def measure(setup: Setup, rows: int, seed: int, *, poses: bool) -> Measurements:
         result = poses_with_friction(robot, joints, np.zeros(1), [np.arange(rows)], friction)
     if result.failures:
         raise SolveError("the truth cannot be followed")
-    random = np.random.default_rng(seed + 1000)
-    turn, base = Rotation.random(rng=random).as_matrix(), random.uniform(-0.3, 0.3, 3)
+    place, random = (np.random.default_rng(1000 + (seed if each is None else each)) for each in (path.frame, seed))
+    turn, base = Rotation.random(rng=place).as_matrix(), place.uniform(-0.3, 0.3, 3)
     tips = result.position[:, 0] @ turn.T + base + random.normal(0, NOISE, (rows, 3))
     wobble = Rotation.from_rotvec(random.normal(0, WOBBLE, (rows, 3))).as_matrix()
     return Measurements(

@@ -236,8 +236,21 @@ def _smallest_with_errors(robot: ConcentricRobot, requirement: SnapFree, transla
     return smallest
 
 
-def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Iterator[Check]:
-    """Checks of tip positions and directions at targets and in workspace boxes."""
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """Targets of one requirement with the poses that reach them."""
+
+    requirement: Reach | Coverage
+    poses: list[Equilibrium]
+    """One per target."""
+    distance: Array
+    """(T,) distances of the tips from the targets, m."""
+    tolerance: Array
+    """(T,) largest allowed distances, m."""
+
+
+def reached(program: Program, equilibria: Sequence[Equilibrium]) -> Iterator[Reached]:
+    """Targets and points of workspace boxes, with the task poses that reach them."""
     row_of = {number: k for k, number in enumerate(program.task_poses)}
     requirements = program.task.requirements
     points = points_of(requirements, program.added)
@@ -246,15 +259,21 @@ def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Ite
             continue
         poses = [equilibria[row_of[number]] for number in pose_numbers]
         targets = requirement.targets if isinstance(requirement, Reach) else [requirement] * len(positions)
-        tolerance = np.array([target.tolerance for target in targets])
         distance = np.linalg.norm([e.tip_position for e in poses] - np.array(positions), axis=1)
+        yield Reached(requirement, poses, distance, np.array([target.tolerance for target in targets]))
+
+
+def _check_targets(program: Program, equilibria: tuple[Equilibrium, ...]) -> Iterator[Check]:
+    """Checks of tip positions and directions at targets and in workspace boxes."""
+    for each in reached(program, equilibria):
+        distance, tolerance = each.distance, each.tolerance
         worst = int(np.argmax(distance / tolerance))
-        name = f"largest distance of the tip from {len(positions)} targets"
+        name = f"largest distance of the tip from {len(distance)} targets"
         satisfied = bool(distance[worst] <= (1 + UNREACHED) * tolerance[worst])
         yield Check(name, f"{distance[worst] * 1e3:.4f} mm", satisfied)
-        if isinstance(requirement, Coverage):
+        if isinstance(each.requirement, Coverage):
             continue
-        for k, (target, pose) in enumerate(zip(requirement.targets, poses, strict=True)):
+        for k, (target, pose) in enumerate(zip(each.requirement.targets, each.poses, strict=True)):
             if target.direction is not None:
                 # Clipped: beyond 1 by round-off, arccos is NaN.
                 cosine = np.clip(pose.tip_rotation[:, 2] @ np.array(target.direction), -1, 1)

@@ -17,6 +17,7 @@ from ..design import (
     Objective,
     ParetoFront,
     SearchedPair,
+    SnapFree,
     StockChoice,
     StockTube,
     ToleranceAnalysis,
@@ -28,6 +29,7 @@ from ..design import (
 )
 from ..design.exchange import certified_at
 from ..design.optimize import front_tasks
+from ..design.requirements import of_kind
 from ..design.stock import stock_choices, with_sizes
 from ..display import Displayed
 from ..errors import InputError
@@ -38,6 +40,7 @@ from ..files.units import TO_MM
 from ..planning import PairFraction, PairReach
 from ..stability import ASSUMING
 from ..typing import Array, Progress
+from ..validation.certainty import PROBABILITIES
 from .design_parts import (
     DOUBTFUL_FRACTION,
     MAX_POINTS,
@@ -52,6 +55,16 @@ from .design_parts import (
     with_plan_time,
 )
 from .plan_study import PlacedPart, shared
+from .real_robot import (
+    DesignBounds,
+    Judged,
+    Reserve,
+    check_confidence,
+    design_bounds,
+    judged_design,
+    kept_by_real_robot,
+    with_reserve,
+)
 from .study_file import Timed
 from .surroundings_file import AnatomyKey, BasePart, Position
 
@@ -100,6 +113,8 @@ class DesignAnswer(Displayed):
     stock: StockChoice | None
     """Choice of tube sizes from stock."""
     region: Annotated[RegionAnswer | None, "reached fraction of a region; null unless it is the objective"] = None
+    real: DesignBounds | None = None
+    """Bounds on the real robot; None without a posterior."""
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -120,11 +135,24 @@ class DesignStudy(DesignedRobot, Multistart, Timed):
         None, description="required margins of the points of the Pareto front"
     )
     stock: StockStudy | None = None
+    confidence: Positive | None = Field(
+        None,
+        gt=0.5,
+        lt=1,
+        description="a real robot of the design must keep certificate, margin, clearance and tolerances of targets at "
+        "this probability, estimated from the posterior of the robot file; default not required",
+        examples=["P"],
+    )
     workers: Count = Field(1, description="number of processes for starts, stock and tolerances")
 
     @model_validator(mode="after")
     def _makes_a_task(self) -> Self:
         task = self.task()
+        check_confidence(self.confidence, task.robot)
+        if self.confidence is not None and (isinstance(self.objective, RegionEntry) or self.pareto_margins is not None):
+            raise ValueError("gives confidence, which supports neither objective reach_share nor pareto_margins")
+        if self.confidence is not None and any(each.max_force for each in of_kind(task.requirements, SnapFree)):
+            raise ValueError("gives confidence and max_tip_force_mN; the real robot is known without force only")
         if self.pareto_margins is not None:
             # Tasks are built now, so that a wrong margin is reported before the design is searched.
             front_tasks(task, [float(m) for m in self.pareto_margins])
@@ -151,7 +179,7 @@ class DesignStudy(DesignedRobot, Multistart, Timed):
         Raises:
             SolveError: no design satisfies all requirements, or the verification of the best one failed.
         """
-        task, choice = self.task(), None
+        task, choice, confidence = self.task(), None, self.si("confidence")
         if self.stock is not None:
             options = self.stock.in_si("clearance_mm", "keep")
             choice = choose_from_stock(task, self.stock.file, workers=self.workers, progress=progress, **options)
@@ -163,7 +191,13 @@ class DesignStudy(DesignedRobot, Multistart, Timed):
             region = self.objective.run(task, self.multistart, progress)
             solution = region.search.solution
         else:
-            solution = optimize_design(task, progress=progress, workers=self.workers, **self.multistart)
+
+            def design_with(reserve: Reserve) -> Judged[DesignSolution]:
+                raised = with_reserve(task, reserve)
+                found = optimize_design(raised, progress=progress, workers=self.workers, **self.multistart)
+                return Judged(found, ()) if confidence is None else judged_design(found, task, confidence)
+
+            solution = kept_by_real_robot("design", design_with)
         tolerance = None
         if self.tolerances is not None:
             tolerance = tolerance_analysis(
@@ -178,7 +212,8 @@ class DesignStudy(DesignedRobot, Multistart, Timed):
         front = None
         if self.pareto_margins is not None:
             front = pareto_front(task, [float(m) for m in self.pareto_margins], start=solution.attempt)
-        return DesignAnswer(solution, tolerance, front, choice, region)
+        real = design_bounds(solution, PROBABILITIES if confidence is None else (confidence,))
+        return DesignAnswer(solution, tolerance, front, choice, region, real)
 
 
 # --- two robots -------------------------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from ..bodies.anatomy import Anatomy
 from ..bodies.frames import Frame, Plane
 from ..bodies.obstacles import Obstacle, scene_of
 from ..display import Displayed
-from ..errors import SolveError, without_unit_warnings
+from ..errors import without_unit_warnings
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole, check_kind, in_file
 from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, keys_from, values
@@ -39,6 +39,7 @@ from ..planning.trajectory import TimedJoints, load_trajectory
 from ..robots.robot import Robot
 from ..typing import Array, Progress
 from ..validation.certainty import PROBABILITIES, path_bounds
+from .real_robot import MOST_MARGIN, Judged, Reserve, check_confidence, kept_by_real_robot
 from .robot_keys import Loaded, OnePerTube, RobotPath, Started, check_within, joints_of, rewording_joints
 from .study_file import Study, Timed
 from .surroundings_file import BasePart, Bodies, Position, Surrounded, TipPosition
@@ -143,13 +144,6 @@ class Aimed(Started):
 
 # --- the real robot ---------------------------------------------------------------------------------------------------
 
-# What a plan lacks in margin or clearance of the real robot is required in addition, times this factor.
-MORE, ROUNDS = 1.3, 4
-"""Factor on the additional requirements, and maximum number of plans for a confidence."""
-
-MOST_MARGIN = 0.99
-"""Largest margin that is required for the real robot's sake."""
-
 
 @dataclass(frozen=True)
 class Required:
@@ -160,12 +154,6 @@ class Required:
     """Smallest distance from obstacles, m."""
     confidence: float | None
     """Probability of both; None requires nothing."""
-
-
-def check_confidence(confidence: Any, robot: Robot) -> None:
-    """Raise ValueError for a confidence with a robot without a posterior."""
-    if confidence is not None and robot.posterior is None:
-        raise ValueError("confidence is given, and the robot has no posterior; tubeopt validate --fit writes one")
 
 
 def of_real_robot(
@@ -276,15 +264,20 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
     def _kept_by_real_robot(self, progress: Progress | None) -> Trajectory:
         """Plan with bounds on the real robot, repeated with more margin and clearance until it keeps both."""
         margin, options = self.si("min_margin"), PlanOptions(**values(PlanOptions, self))
-        required, clearance = Required(margin, options.clearance, self.si("confidence")), options.clearance
-        for _ in range(ROUNDS):
-            plan = self._plan(progress, margin, replace(options, clearance=clearance))
+        required = Required(margin, options.clearance, self.si("confidence"))
+
+        def plan_with(reserve: Reserve) -> Judged[Trajectory]:
+            wanted = replace(options, clearance=options.clearance + reserve.clearance)
+            plan = self._plan(progress, min(margin + reserve.margin, MOST_MARGIN), wanted)
             proof = of_real_robot(plan.proof, plan.rotations, plan.translations, plan.obstacles, required)
+            answer = replace(plan, proof=proof)
             if proof.faults == plan.proof.faults or proof.real is None:
-                return replace(plan, proof=proof)
-            margin = min(margin + MORE * max(0.0, required.margin - proof.real.margin[0]), MOST_MARGIN)
-            clearance += MORE * max(0.0, required.clearance - proof.real.clearance[0])
-        raise SolveError(f"no plan was found that the real robot keeps: {'; '.join(proof.faults)}", plan)
+                return Judged(answer, ())
+            margins, clearances = proof.real.margin, proof.real.clearance
+            lack = Reserve(margin=margin - margins[0], clearance=options.clearance - clearances[0])
+            return Judged(answer, proof.faults, lack)
+
+        return kept_by_real_robot("plan", plan_with)
 
     def _plan(self, progress: Progress | None, margin: float, options: PlanOptions) -> Trajectory:
         common: dict[str, Any] = {

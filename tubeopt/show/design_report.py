@@ -28,6 +28,7 @@ from ..robots.concentric import ConcentricRobot
 from ..robots.file import save_robot
 from ..runs.design_parts import RegionAnswer
 from ..runs.design_study import DesignAnswer, PairAnswer
+from ..runs.real_robot import DesignBounds
 from ..typing import Array
 from .formatting import at_least
 from .quantities import Quantity, columns, described, line, of_field, within
@@ -183,6 +184,36 @@ CHOICE: tuple[Quantity[tuple[AnyObjective, Candidate]], ...] = (
 )  # fmt: skip
 """Quantities of a choice from stock, with the objective that ranks it."""
 
+REAL_DESIGN: tuple[Quantity[DesignBounds], ...] = (
+    Quantity("probabilities", "probabilities of the bounds on the real robot; absent without posterior", optional=True),
+    Quantity("real_certificate", "the certificate of the real robot is at least this; null without",
+             lambda real: real.certificate, optional=True),
+    Quantity("real_margin", "its margin at the task poses and on required paths is at least this; null without poses",
+             lambda real: real.margin, optional=True),
+    Quantity("real_clearance_mm", "its distance from bodies at the task poses is at least this; null without",
+             lambda real: real.clearance, optional=True),
+    Quantity("real_tip_radius_mm", "its tip is within this distance of the calibrated one at targets; null without",
+             lambda real: real.tip, optional=True),
+)  # fmt: skip
+
+
+def _real_text(real: DesignBounds | None) -> str | None:
+    """Bounds on the real robot, as text."""
+    if real is None:
+        return None
+    parts = (
+        ("certificate at least {:.4f}", real.certificate, 1.0),
+        ("margin at least {:.4f}", real.margin, 1.0),
+        ("clearance at least {:.2f} mm", real.clearance, TO_MM),
+        ("tip within {:.2f} mm", real.tip, TO_MM),
+    )
+    each = [
+        f"{100 * p:g} %: " + ", ".join(text.format(factor * x[k]) for text, x, factor in parts if x is not None)
+        for k, p in enumerate(real.probabilities)
+    ]
+    return "; ".join(each) + " (estimated)" if any(x is not None for _, x, _ in parts) else None
+
+
 DESIGN = described(
     DesignAnswer,
     *within(SOLUTION, lambda a: a.solution),
@@ -196,6 +227,8 @@ DESIGN = described(
     of_field(DesignAnswer, "region", of=REGION),
     *within((line("as manufactured", _snap_free_text), line("tip spread", _spread_text)), lambda a: a.tolerance),
     *within(SEARCHED, lambda a: a.region),
+    *within(REAL_DESIGN, lambda a: a.real),
+    line("real robot", lambda a: _real_text(a.real)),
     Quantity("stock", "choices from stock, best first; null unless requested", lambda a: _choices(a), of=CHOICE,
              label="from stock", text=lambda a: _best_text(a)),
     line("seconds", "{seconds:.1f}"),

@@ -31,7 +31,7 @@ from ..files.field_metadata import form, unit
 from ..inverse.arm_surface import ArmSurface
 from ..physics.shape import hat
 from ..robots.assembly import DIMENSIONS, dimensions_of
-from ..robots.calibration import Calibration, PathBounds
+from ..robots.calibration import Calibration, PathBounds, Posterior
 from ..robots.robot import Robot
 from ..stability import snap_distance
 from ..typing import Array
@@ -252,9 +252,8 @@ def uncertainty(equilibrium: Equilibrium, probabilities: Sequence[float] = PROBA
         raise InputError("the equilibrium is unstable; the real robot will not be there")
     joints, still = (e.rotations, e.translations), np.zeros(reals.size)
     slopes = reals.slopes(e, still, joints)
-    covariance = slopes.tip @ slopes.tip.T + e.robot.posterior.misfit**2 * np.eye(3)
+    covariance = _covariance(slopes, e.robot.posterior)
     quantiles = scipy.special.ndtri((1 + np.array(probabilities)) / 2)
-    longest = np.sqrt(np.linalg.eigvalsh(covariance)[-1])
     distances = np.full(len(probabilities), np.nan)
     if e.load is None:
         distances = reals.least(lambda z: _snap_distance(reals.at(z, *joints)), probabilities)
@@ -262,12 +261,36 @@ def uncertainty(equilibrium: Equilibrium, probabilities: Sequence[float] = PROBA
         tuple(probabilities),
         covariance,
         quantiles[:, None] * np.sqrt(np.diag(covariance)),
-        # The ball with the longest axis as radius holds at least as much as the ellipsoid.
-        longest * np.sqrt(scipy.special.chdtri(3, 1 - np.array(probabilities))),
+        _radii(covariance, probabilities),
         _least_margins(reals, e, slopes.margin, joints, probabilities),
         distances,
         bool(e.robot.posterior.outside(*reals.readings(*joints))),
     )
+
+
+def _covariance(slopes: Slopes, posterior: Posterior) -> Array:
+    """(3, 3) covariance of the tip, m^2."""
+    return np.asarray(slopes.tip @ slopes.tip.T + posterior.misfit**2 * np.eye(3))
+
+
+def _radii(covariance: Array, probabilities: Sequence[float]) -> Array:
+    """(Q,) radii of balls, m, that hold a point of covariance (3, 3) with probabilities."""
+    # The ball with the longest axis as radius holds at least as much as the ellipsoid.
+    longest = np.sqrt(np.linalg.eigvalsh(covariance)[-1])
+    return np.asarray(longest * np.sqrt(scipy.special.chdtri(3, 1 - np.array(probabilities))))
+
+
+def tip_radii(equilibrium: Equilibrium, probabilities: Sequence[float] = PROBABILITIES) -> Array | None:
+    """(Q,) distances, m, within which the tip of the real robot is at the readings of a stable equilibrium.
+
+    None without a posterior.
+    """
+    e, reals = equilibrium, real_robots(equilibrium.robot)
+    check_probabilities(probabilities)
+    if reals is None or e.robot.posterior is None:
+        return None
+    slopes = reals.slopes(e, np.zeros(reals.size), (e.rotations, e.translations))
+    return _radii(_covariance(slopes, e.robot.posterior), probabilities)
 
 
 def check_probabilities(probabilities: Sequence[float]) -> None:
@@ -305,8 +328,13 @@ def _least_margins(
     return np.array(out)[np.argsort(np.argsort(probabilities))]
 
 
-def certificate_bounds(robot: Robot, certificate: Callable[[Robot, Array], float], translations: Array) -> Array | None:
-    """(2,) bounds at `PROBABILITIES` on a certificate of the real robot at translations (n,), m.
+def certificate_bounds(
+    robot: Robot,
+    certificate: Callable[[Robot, Array], float],
+    translations: Array,
+    probabilities: Sequence[float] = PROBABILITIES,
+) -> Array | None:
+    """(Q,) bounds at probabilities on a certificate of the real robot at translations (n,), m.
 
     None without a posterior.
     """
@@ -318,7 +346,7 @@ def certificate_bounds(robot: Robot, certificate: Callable[[Robot, Array], float
         real = reals.at(z, np.zeros(robot.n_tubes), translations)
         return certificate(real.robot, real.translations)
 
-    return reals.least(value, PROBABILITIES)
+    return reals.least(value, probabilities)
 
 
 def path_bounds(
