@@ -38,7 +38,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Reserve:
-    """What is required of the calibrated robot beyond the requirements on the real one, or what is lacking of them."""
+    """Reserve of the calibrated robot above the requirements on the real one, or a lack of it."""
 
     margin: float = 0.0
     certificate: float = 0.0
