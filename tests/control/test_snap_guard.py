@@ -10,7 +10,7 @@ import pytest
 
 from tests.control.test_servo import of_four
 from tests.examples import CRL, THESIS
-from tubeopt import ConcentricRobot, InputError, find_snap, follow, forward_kinematics, load_robot
+from tubeopt import ConcentricRobot, Equilibrium, InputError, Load, find_snap, follow, forward_kinematics, load_robot
 from tubeopt.control import servo as servo_module
 from tubeopt.control.c_binding import CRobot, CServo
 from tubeopt.control.c_library import c_library
@@ -19,13 +19,15 @@ from tubeopt.control.crtk import FAR_FROM_SNAP, CrtkRobot
 from tubeopt.control.servo import Servo
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.library import compile_to, compiler
-from tubeopt.stability.snap_distance import proved_turn, snap_distance
+from tubeopt.stability.loaded_distance import LoadedForm
+from tubeopt.stability.snap_distance import largest_turn, proved_turn, snap_distance
 
 TWO_TUBES = load_robot("configs/robots/two_tube.yaml")
 ROBOTS = {"thesis": THESIS, "crl": CRL, "two": TWO_TUBES, "four": of_four()}
 LEAST = np.radians(3.0)
 ACCELERATIONS = {"turn_acceleration": 30.0, "shift_acceleration": 1.0}
 HOME = np.zeros(3)
+C_PRECISION = 0.02  # of a snap distance of the C library
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -164,3 +166,53 @@ def test_starts_too_close_to_a_snap_are_refused() -> None:
         made("python", THESIS, turned)
     with pytest.raises(InputError, match="min_snap_distance is 4 rad"):
         ServoOptions(min_snap_distance=4.0)
+
+
+# --- Under a load -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def loaded() -> tuple[CRobot, Equilibrium]:
+    """A C library under a load, and its equilibrium in Python."""
+    if compiler() is None:
+        pytest.skip("no C compiler")
+    rotations, translations, force = [3.0, -0.3, 0.2], [-0.01, -0.005, 0.0], (4e-3, -6e-3, 3e-3)
+    arm = CRobot(c_library(THESIS, loads=True))
+    arm.solve(rotations, translations)
+    arm.bear(force)
+    return arm, forward_kinematics(THESIS, rotations, translations, load=Load(force))
+
+
+def test_c_proves_the_turn_under_a_load_that_python_proves(loaded: tuple[CRobot, Equilibrium]) -> None:
+    arm, start = loaded
+    turn, _ = largest_turn(LoadedForm.of(start), np.pi, C_PRECISION)
+    assert 0.05 < turn < np.pi
+    assert start.margin < 0.99  # with others Python refines its mesh
+    assert arm.snap_distance(np.pi) == pytest.approx(turn, abs=1e-9)
+    assert arm.snap_distance(turn / 2) == turn / 2
+
+
+def test_no_motion_in_a_ball_under_a_load_snaps(loaded: tuple[CRobot, Equilibrium]) -> None:
+    arm, start = loaded
+    turn, random = arm.snap_distance(np.pi), np.random.default_rng(2)
+    assert turn is not None
+    for _ in range(60):
+        by = random.choice([-1.0, 1.0, random.uniform(-1, 1)], start.robot.n_tubes)
+        arm.follow(start.rotations + turn * by, start.translations)
+    back = arm.follow(start.rotations, start.translations)
+    assert back.tip_position == pytest.approx(start.tip_position, abs=1e-8)
+
+
+def test_the_servo_stops_before_a_snap_under_a_measured_force() -> None:
+    if compiler() is None:
+        pytest.skip("no C compiler")
+    options = ServoOptions(min_margin=0.99, min_snap_distance=LEAST)  # a floor of the margin that it does not look at
+    servo = CServo(c_library(THESIS, loads=True), (np.radians([150.0, 0.0, 0.0]), HOME), options)
+    for k in range(90):  # without a guard the inner tube snaps at 214 deg
+        servo.bear((1e-3, 1e-3 * np.sin(0.1 * k), 0.0))
+        servo.step(Command(joints=(np.radians([300.0, 0.0, 0.0]), HOME)), 5e-3)
+    assert 195.0 < np.degrees(servo.equilibrium.rotations[0]) < 208.3
+    assert servo.equilibrium.margin < 0.98
+    distance = servo.snap_distance(LEAST)
+    assert distance is not None
+    assert distance > 0.9 * LEAST  # the force has changed since it stopped

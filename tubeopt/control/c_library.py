@@ -362,7 +362,7 @@ def loads_text(name: str, n: int, data: str, pieces: int = MOST_PIECES) -> str:
         with_included(HERE / "pieces.c"),
         with_included(HERE / "layout.c"),
         data,
-        (C_FOLDER / "bear.c").read_text(),
+        *((C_FOLDER / name).read_text() for name in ("loaded_turn.c", "bear.c")),
     ]
     return "".join(parts)
 

@@ -583,14 +583,11 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
             raise InputError("equilibrium is of a bundle with a load; its snap distance is known without load only")
     compiled = compiled_turn(equilibrium, most=limit, precision=precision) if load is None else None
     radius, couplings, boxes = math.inf, 0, 0
-    form: PairForm | LoadedForm
+    form: PairForm | LoadedForm | None = None
     if load is not None:
-        form = LoadedForm.of(equilibrium)
-        free = snap_free_certificate(robot, equilibrium.translations)
-        if not loaded_worst_case(robot, equilibrium.translations, free, form.largest_force) > ROUND_OFF:
-            couplings = len(form.psi)
-            loose, most = max(precision, SLOW_PRECISION), min(limit, math.pi)
-            radius, boxes = _largest(lambda r: form.proves(form.boxes(r)), FIRST_TURN, most, loose)
+        loaded, free = LoadedForm.of(equilibrium), snap_free_certificate(robot, equilibrium.translations)
+        if not loaded_worst_case(robot, equilibrium.translations, free, loaded.largest_force) > ROUND_OFF:
+            form, precision = loaded, max(precision, SLOW_PRECISION)
     elif compiled is not None:
         radius, couplings = compiled
     elif not (certificate := snap_free_certificate(robot, equilibrium.translations)) > 0:
@@ -602,13 +599,19 @@ def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISI
                 "a finite snap distance is known for concentric robots only"
             )
         form = PairForm.of(equilibrium)
+    if form is not None:
         couplings = len(form.psi)
-        first, radius, boxes = min(FIRST_TURN, limit / 2), limit, 1
-        if limit >= math.pi or not form.proves(form.boxes(limit)):
-            radius, boxes = _largest(lambda r: form.proves(form.boxes(r)), first, min(limit, math.pi), precision)
+        radius, boxes = largest_turn(form, limit, precision)
     status = SnapDistanceStatus.NEVER if radius == math.inf else SnapDistanceStatus.PROVED
     seconds = perf_counter() - start_time
     return SnapDistance(equilibrium, radius, status, SnapDistanceStatistics(couplings, boxes, seconds))
+
+
+def largest_turn(form: PairForm | LoadedForm, limit: float, precision: float) -> tuple[float, int]:
+    """Largest turn of all tubes up to `limit` (rad) that is proved to cause no snap, and number of tries."""
+    if limit < math.pi and form.proves(form.boxes(limit)):
+        return limit, 1
+    return _largest(lambda r: form.proves(form.boxes(r)), min(FIRST_TURN, limit / 2), min(limit, math.pi), precision)
 
 
 def _unloaded(equilibrium: Equilibrium, word: str) -> Equilibrium:

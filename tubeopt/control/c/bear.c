@@ -33,6 +33,7 @@ typedef struct {
     Borne borne[2], kept; /* the last equilibrium and room for the next, and that to which a motion that fails returns */
     int here;
     double theta[MOST_POINTS][N], curvature[MOST_POINTS][2], place[MOST_POINTS], moment[MOST_POINTS][2];
+    Turning turning; /* about what was solved last, where it was found */
 } Bearing;
 
 size_t tubeopt_bearing_size(void) { return sizeof(Bearing); }
@@ -216,6 +217,26 @@ int tubeopt_bearing_step(void *room, const tubeopt_load *load, const tubeopt_joi
         return 1;
     pose_borne(next, joints);
     return 0;
+}
+
+/* Prepares proofs about the equilibrium that was solved last and not accepted; 0 where there is no room for them. */
+int tubeopt_bearing_couple(void *room) {
+    Bearing *b = room;
+    Workspace *w = &b->work;
+    const double *alpha = b->borne[!b->here].pose.joints.rotations;
+    return N <= 4 && find_turning(&w->stage, &w->state, alpha, &w->step, &w->other_step, &b->turning);
+}
+
+/* Whether turns of all tubes by up to r, each either way, are then proved to cause no snap. */
+int tubeopt_bearing_turns(void *room, double r) {
+    Bearing *b = room;
+    return proves_turn(&b->work.stage, &b->work.state, &b->turning, r);
+}
+
+/* The largest such turn, at most `most`, to a relative precision. */
+double tubeopt_bearing_turn(void *room, double most, double precision) {
+    Bearing *b = room;
+    return largest_turn_of(&b->work.stage, &b->work.state, &b->turning, most, precision);
 }
 
 /* What was solved last becomes what is gone on from. */

@@ -18,16 +18,21 @@ void tubeopt_bearing_compliance(const void *room, double *out);
 int tubeopt_bearing_arm(const void *room, const double **s, const double (**position)[3], const double (**frame)[9]);
 void tubeopt_bearing_keep(void *room);
 void tubeopt_bearing_return(void *room);
+int tubeopt_bearing_couple(void *room);
+int tubeopt_bearing_turns(void *room, double r);
+double tubeopt_bearing_turn(void *room, double most, double precision);
 #endif
 
 #if !SLOPES
 typedef tubeopt_slopes Slopes;
 #endif
 
-/* Joint values at which turns of all tubes, each by up to `turn` (rad), are proved to cause no snap; 0: nothing is proved. */
+/* Joint values at which turns of all tubes, each by up to `turn` (rad), are proved to cause no snap; 0: nothing is proved. Without
+   a load, turning all tubes alike changes nothing. */
 typedef struct {
     tubeopt_joints centre;
     double turn;
+    int loaded;
 } Ball;
 
 struct tubeopt_memory {
@@ -84,12 +89,18 @@ static void keep_loaded(tubeopt_memory *m) {
 static void return_loaded(tubeopt_memory *m) {
     if (m->bears) tubeopt_bearing_return(room_of(m));
 }
+
+static int couple_loaded(tubeopt_memory *m) { return !m->bears || tubeopt_bearing_couple(room_of(m)); }
+
+static int proves_loaded(tubeopt_memory *m, double r) { return !m->bears || tubeopt_bearing_turns(room_of(m), r); }
 #else
 #define ROOM_OF_ONE ((sizeof(tubeopt_memory) + 63) / 64 * 64)
 #define bears(memory) 0
 #define bear_to(memory, joints, t) 0
 #define keep_loaded(memory)
 #define return_loaded(memory)
+#define couple_loaded(memory) 1
+#define proves_loaded(memory, r) 1
 #define accept_loaded(memory)
 #endif
 
@@ -162,14 +173,23 @@ static double turn_left(const Ball *ball, const tubeopt_joints *at) {
         if (fabs(at->translations[i] - ball->centre.translations[i]) > ROUND_OFF_LENGTH) return -1;
         least = fmin(least, by), most = fmax(most, by);
     }
-    return fmax(-1, ball->turn - (most - least) / 2); /* all tubes turned alike turn the arm */
+    return fmax(-1, ball->turn - (ball->loaded ? fmax(most, -least) : (most - least) / 2));
 }
 
 #if SLOPES
-/* Whether couplings, from which a snap distance follows, are found in the workspace: of what was solved last. */
+/* Whether couplings, from which a snap distance follows, are found in the workspaces: of what was solved last. */
 static int couple(tubeopt_memory *m) {
     Workspace *w = &m->work;
-    return !bears(m) && find_couplings(&w->fine, &w->state, &w->trial, &w->chain, &w->couplings);
+    return find_couplings(&w->fine, &w->state, &w->trial, &w->chain, &w->couplings) && couple_loaded(m);
+}
+
+/* Whether turns of all tubes by up to r are then proved to cause no snap, with the load and without. */
+static int proves(tubeopt_memory *m, double r) { return proves_turn(&m->work.couplings, r) && proves_loaded(m, r); }
+
+/* The same of turns of any size, where no turn can snap; under a load that is not known. */
+static int never_snaps(const tubeopt_memory *m) {
+    const Couplings *now = &m->work.couplings;
+    return !bears(m) && (!now->count || convex_in(now, NULL));
 }
 #endif
 
@@ -356,10 +376,16 @@ tubeopt_status tubeopt_slopes_at(tubeopt_memory *m, tubeopt_slopes *slopes) {
 
 double tubeopt_snap_distance(tubeopt_memory *m, double most) {
 #if SLOPES
-    if (m->started && !bears(m) && !refresh(m) && couple(m)) return largest_turn(&m->work.couplings, most, TURN_PRECISION);
+    if (!m->started || refresh(m)) return -1;
+#if TUBEOPT_LOADS
+    tubeopt_joints same = m->joints;
+    if (m->bears) return bear_to(m, &same, 0) || !couple_loaded(m) ? -1 : tubeopt_bearing_turn(room_of(m), most, TURN_PRECISION);
 #endif
+    return couple(m) ? largest_turn(&m->work.couplings, most, TURN_PRECISION) : -1;
+#else
     (void)m, (void)most;
     return -1;
+#endif
 }
 
 double tubeopt_snap_time(tubeopt_memory *m, double turn_rate, double shift_rate, double most) {

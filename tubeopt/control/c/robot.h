@@ -86,7 +86,8 @@ typedef struct {
     double push;                      /* fraction of the rates that increases the margin in the null space; 0: none */
     double turn_acceleration, shift_acceleration; /* largest accelerations of the joints, rad/s^2 and m/s^2; 0: no limit */
     double min_snap_distance;         /* turn of all tubes, rad, that must be proved to cause no snap where the robot stops;
-                                         0: the margin counts. Known for up to four concentric tubes without load */
+                                         0: the margin counts. Known for up to four concentric tubes; under a load for
+                                         that load, and without it */
     double velocity[3];               /* of the tip, m/s, in place of a position; zeros: the position counts */
 } tubeopt_command;
 
@@ -168,12 +169,13 @@ tubeopt_status tubeopt_estimate_at(const tubeopt_estimator *estimator, double ti
 tubeopt_status tubeopt_slopes_at(tubeopt_memory *memory, tubeopt_slopes *slopes);
 
 /* Turn of all tubes, rad, each either way and in any order, that is proved to cause no snap at the last equilibrium. At most
-   `most`, or INFINITY where no turn can snap; -1 where it is not known: under load, off the centreline, of five tubes. */
+   `most`, or INFINITY where no turn can snap; -1 where it is not known: off the centreline, of five tubes. Under a load that stays
+   as it is at most pi. Whether it is `most` takes 0.1 ms, under a load 1 to 8 ms; a smaller one 1 ms, and 6 to 120 ms. */
 double tubeopt_snap_distance(tubeopt_memory *memory, double most);
 
 /* Time, s, at most `most`, within which it is proved that nothing snaps while each joint moves either way, at up to these rates
-   (rad/s, m/s). Whether it is `most` takes 1 to 8 ms, a shorter time ten times as long. -1 where it is not known: as above, and
-   of tubes made of pieces. */
+   (rad/s, m/s). Whether it is `most` takes 1 to 8 ms, a shorter time ten times as long. -1 where it is not known: as above, under a
+   load, and of tubes made of pieces. */
 double tubeopt_snap_time(tubeopt_memory *memory, double turn_rate, double shift_rate, double most);
 
 /* `count` equally spaced points of the centreline from plate to tip: arc lengths (m) and positions. */

@@ -117,9 +117,8 @@ static double *new_row(Quadratic *p, double bound) {
 #endif
 
 /* Whether snap distances count in place of margins. */
-static int sees_snaps(const tubeopt_memory *m, const tubeopt_command *c) {
-    (void)m; /* which bears nothing where there are no loads */
-    return SLOPES && N <= 4 && c->min_snap_distance > 0 && !bears(m);
+static int sees_snaps(const tubeopt_command *c) {
+    return SLOPES && N <= 4 && c->min_snap_distance > 0;
 }
 
 /* Whether the robot may stop at joint values, whose equilibrium was solved last: far enough from a snap, which a ball proves, or
@@ -127,14 +126,13 @@ static int sees_snaps(const tubeopt_memory *m, const tubeopt_command *c) {
 static int may_stop(tubeopt_memory *m, const tubeopt_command *c, double floor, const tubeopt_joints *at, Ball *ball) {
     double r = c->min_snap_distance;
     *ball = m->ball;
-    if (!sees_snaps(m, c)) return stated_margin(m, 1) >= floor;
+    if (!sees_snaps(c)) return stated_margin(m, 1) >= floor;
     if (turn_left(ball, at) >= r) return 1;
 #if SLOPES
     if (couple(m)) {
-        const Couplings *now = &m->work.couplings;
         int turns = !memcmp(at->translations, m->joints.translations, sizeof at->translations);
-        double proved = !now->count || convex_in(now, NULL) ? INFINITY : turns && proves_turn(now, WIDER * r) ? WIDER * r : proves_turn(now, r) ? r : 0;
-        if (proved > 0) *ball = (Ball){*at, proved};
+        double proved = never_snaps(m) ? INFINITY : turns && proves(m, WIDER * r) ? WIDER * r : proves(m, r) ? r : 0;
+        if (proved > 0) *ball = (Ball){*at, proved, bears(m)};
         return proved > 0 || (turn_left(&m->ball, &m->joints) < r && stated_margin(m, 1) >= stated_margin(m, 0));
     }
 #endif
@@ -197,7 +195,7 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodie
     }
     double most = 0;
     for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
-    double least = sees_snaps(m, c) ? m->wall : c->min_margin;
+    double least = sees_snaps(c) ? m->wall : c->min_margin;
     double raised = fmin(fmin(0.5 * (least + ROOM - stated_margin(m, 0)), RISE * most), rise);
     memcpy(new_row(p, raised), aim->margin, sizeof aim->margin);
     keep_clear(m, bodies, rise, p, aim);
@@ -315,9 +313,9 @@ static int can_brake(tubeopt_memory *robot, tubeopt_memory *m, const tubeopt_joi
                      double floor, double rest) {
     double q[JOINTS], speed[JOINTS], least = rest;
     int at = BRAKINGS;
-    if (sees_snaps(robot, c) && turn_left(ball, &robot->joints) > 0) return 1;
+    if (sees_snaps(c) && turn_left(ball, &robot->joints) > 0) return 1;
 #if SLOPES
-    int proved = sees_snaps(robot, c) ? proves_way(m, stop, &robot->joints) : -1;
+    int proved = sees_snaps(c) && !bears(m) ? proves_way(m, stop, &robot->joints) : -1;
     if (proved >= 0) return proved;
 #endif
     independent(&robot->joints, q);

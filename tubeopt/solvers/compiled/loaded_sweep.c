@@ -22,6 +22,11 @@ typedef struct {
     Functional by;
 } Step;
 
+/* What a form in theta and in q at the points adds to the second variation. */
+typedef struct {
+    double theta[MOST_POINTS][N][N], bend[MOST_POINTS];
+} Softening;
+
 /* dQ_c / du_b and the same of Q at the end. */
 OF_DEGREE void spread_bending(const Stage *s, const State *state, int e, Piece *piece, int k) {
     double half = s->problem->length[e] / 2;
@@ -46,17 +51,18 @@ OF_DEGREE void spread_bending(const Stage *s, const State *state, int e, Piece *
 }
 
 /* The part of the matrix in twists and rotations, and how bending leans on them. */
-OF_DEGREE void put_torsion(Stage *s, const State *state, double factor, double elastic, int e, Piece *piece, int k) {
+OF_DEGREE void put_torsion(Stage *s, const State *state, double factor, double elastic, const Softening *by, int e, Piece *piece, int k) {
     int states = piece->rows;
     double *h = piece->matrix, (*stiff)[N][N] = s->stiff + e * k, (*gain)[N][2] = s->gain + e * k;
     for (int a = 0; a < k; a++) {
         int x = e * k + a;
+        double bending = elastic + (by ? by->bend[x] : 0);
         for (int i = 0; i < N; i++)
             for (int j = 0; j < 2; j++) gain[a][i][j] = state->turned[x][i][j] / s->soft[x];
         for (int i = 0; i < N; i++)
             for (int j = 0; j < N; j++)
-                stiff[a][i][j] = s->weight[x] * state->slope[x][j * N + i] + elastic * dot(gain[a][i], gain[a][j], 2) -
-                                 (i == j) * factor * dot(state->felt[x], state->second[x][i], 2);
+                stiff[a][i][j] = s->weight[x] * state->slope[x][j * N + i] + bending * dot(gain[a][i], gain[a][j], 2) -
+                                 (i == j) * factor * dot(state->felt[x], state->second[x][i], 2) + (by ? by->theta[x][i][j] : 0);
     }
     for (int i = 0; i < N; i++) {
         if (piece->count[i] < k) continue;
@@ -79,8 +85,9 @@ OF_DEGREE void put_torsion(Stage *s, const State *state, double factor, double e
         for (int a = 0; a < k; a++)
             for (int v = 0; v < 2; v++) {
                 int column = piece->bend + 2 * a + v;
-                for (int b = 0; b < k; b++) h[(row + b) * WIDTH + column] -= elastic * piece->turn[i][a][b] * gain[a][i][v];
-                h[column * WIDTH + states + i] -= elastic * gain[a][i][v];
+                double pull = (elastic + (by ? by->bend[e * k + a] : 0)) * gain[a][i][v];
+                for (int b = 0; b < k; b++) h[(row + b) * WIDTH + column] -= piece->turn[i][a][b] * pull;
+                h[column * WIDTH + states + i] -= pull;
             }
     }
 }
@@ -194,8 +201,8 @@ static void add_ahead(Piece *piece, double (*ahead)[STATE]) {
 }
 
 /* Factors of the second variation at `state`, its torsional and bending part taken `elastic` times: 1, or 1 - mu to ask
-   whether the margin is above mu. 0 where it is not positive definite. */
-static int factorise(Stage *s, const State *state, double factor, double elastic) {
+   whether the margin is above mu; and what `by` adds, if not NULL. 0 where it is not positive definite. */
+static int factorise_softened(Stage *s, const State *state, double factor, double elastic, const Softening *by) {
     double ahead[STATE][STATE] = {{0}};
     if (!s->assembled) assemble(s, state, factor);
     for (int e = s->pieces - 1; e >= 0; e--) {
@@ -206,7 +213,8 @@ static int factorise(Stage *s, const State *state, double factor, double elastic
             for (int c = r / 4 * 4; c < whole; c++) h[r * WIDTH + c] = 0;
             h[r * WIDTH + r] = r < piece->rows ? elastic : 0;
         }
-        BY_DEGREE(put_torsion, s, state, factor, elastic, e, piece);
+        for (int b = 0; b < 2 * s->degree && by; b++) h[(piece->bend + b) * (WIDTH + 1)] += by->bend[e * s->degree + b / 2];
+        BY_DEGREE(put_torsion, s, state, factor, elastic, by, e, piece);
         BY_DEGREE(put_work, piece);
         if (e + 1 < s->pieces) add_ahead(piece, ahead);
         if (!eliminate(h, piece->rows, whole, WIDTH)) return 0;
@@ -221,6 +229,10 @@ static int factorise(Stage *s, const State *state, double factor, double elastic
             s->root[i][j] = i == j ? sqrt(sum) : sum / s->root[j][j];
         }
     return 1;
+}
+
+static int factorise(Stage *s, const State *state, double factor, double elastic) {
+    return factorise_softened(s, state, factor, elastic, NULL);
 }
 
 OF_DEGREE void sweep_back_of(const Stage *s, const Functional *by, Step *step, int k) {
