@@ -24,7 +24,7 @@ AREAS = {
         )),
     ),
     "guards": ("control/servo.py", "robots/limits.py", "control/c/servo.c", "control/c/robot.c",
-               "control/c/differences.c", "control/c/contacts.c"),
+               "control/c/differences.c", "control/c/contacts.c", "control/c/seek.c"),
     "firmware": ("shaping/firmware/sketch/heater.cpp", "shaping/firmware/sketch/converter.h"),
     "units": ("files/units.py", "files/fields.py", "files/field_metadata.py", "robots/file.py", "robots/file.py",
               "shaping/heating/plan.py"),

@@ -29,7 +29,8 @@ import tubeopt
 from benchmarks.timing import show, table
 from tests.control import ros_loopback
 from tubeopt.control.c_binding import servo_of
-from tubeopt.control.command import ServoOptions
+from tubeopt.control.command import WORDS as REASONS
+from tubeopt.control.command import ServoOptions, Why
 from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.server import _read
 from tubeopt.inverse.joints import joint_space
@@ -38,6 +39,10 @@ ROBOTS = ["thesis_ctr", "crl_ctr", "two_tube"]
 PERIOD, FLOOR, TURN, SHIFT = 1e-3, 0.1, 30.0, 1.0
 EVERY = 100
 """Places after which the way through them is followed."""
+
+CALM, CALM_TICKS = 2e-4, 3000
+"""Share of messages that ask for the closest pose to a far target, and ticks without messages after them: the search
+needs them."""
 
 AWAKE = 0.1
 """Share of messages before which the robot is homed and enabled."""
@@ -78,7 +83,9 @@ def text(random: np.random.Generator, tip: np.ndarray, joints: tuple[list[float]
         {"op": "hold"},
         {"op": "state_command", "command": WORDS[random.integers(len(WORDS))]},
         {"op": "servo_cp", "position": (1e3 * near).tolist(), "frame_id": "camera"},
-    ][random.integers(12)]
+        {"op": "servo_cp", "position": near.tolist(), "closest": True},
+        {"op": "move_cp", "position": near.tolist(), "closest": True},
+    ][random.integers(14)]
     if random.random() < 0.15:
         key, bad = random.choice([*message, "nonsense"]), BAD[random.integers(len(BAD))]
         message[key] = [bad] * random.integers(1, 5) if random.random() < 0.5 else bad
@@ -163,17 +170,25 @@ def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = F
     most = np.repeat([TURN, SHIFT], n)
     place = np.concatenate([start.rotations, start.translations])
     speed, span, path, ends = np.zeros(2 * n), PERIOD, list[np.ndarray](), set[int]()
+    calm = 0
     while counts["messages"] < number and time.monotonic() - start_time < seconds:
-        counts["messages"] += 1
+        counts["messages"] += not calm
         goal, shift = space.split(many[random.integers(len(many))])
         sets = False
-        if random.random() < AWAKE:
+        calm = max(0, calm - 1)
+        if not calm and random.random() < CALM:
+            calm = CALM_TICKS
+        if calm in (0, CALM_TICKS) and random.random() < (1.0 if calm else AWAKE):
             for word in ("home", "resume", "enable"):
                 with suppress(tubeopt.InputError):
                     arm.command({"op": "state_command", "command": word}, now)
         try:
             joints = goal.tolist(), list(shift)
-            sets = (of_ros.ended(random, joints, now) if of_ros else told_to(arm, random, joints, now)) == "set_js"
+            if not calm:
+                sets = (of_ros.ended(random, joints, now) if of_ros else told_to(arm, random, joints, now)) == "set_js"
+            elif calm == CALM_TICKS:
+                far = space.longest * random.uniform(-1, 1, size=3) / 2
+                arm.command({"op": "move_cp", "position": far.tolist(), "closest": True}, now)
         except tubeopt.InputError:
             counts["refused"] += 1
         except Exception as error:  # what is looked for
@@ -189,6 +204,7 @@ def torment(name: str, number: int, seconds: float, seed: int, *, node: bool = F
             of_ros.tick(now) if of_ros else arm.tick(lambda: now, PERIOD)  # noqa: B023
         except Exception as error:  # what is looked for
             counts[f"crash in a step: {type(error).__name__}: {error}"] += 1
+        counts["ticks of searches"] += calm > 0 and REASONS[Why.SEEKING] in arm.report(now)["why"]
         here = arm.servo.equilibrium
         reached = np.concatenate([here.rotations, here.translations])
         span = arm._moved if arm.sent != sent else PERIOD

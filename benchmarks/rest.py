@@ -9,8 +9,8 @@ closer inverse kinematics comes: `ik --closest`, which searches from many starts
 the place of rest. A servo approaches its target at every step, so it can rest at a local minimum only; `--certify`
 checks that, by multipliers and second derivatives. Kinds: the servo
 in Python, in C, and the robot of the server, commanded by servo_cp in time of its own. With `--reach` the targets are
-tips of random joint values, and what counts is whether they are reached. With `--seek` the server moves on to the
-closest pose that it finds.
+tips of random joint values, and what counts is whether they are reached. With `--seek` commands ask for the closest
+pose.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
-from concurrent.futures import wait
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -34,7 +33,7 @@ import tubeopt
 from benchmarks.timing import dump, show, table
 from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import CLibrary, c_library
-from tubeopt.control.command import Command, ServoOptions
+from tubeopt.control.command import WORDS, Command, ServoOptions, Why
 from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.jacobian import compiled_slopes
@@ -67,6 +66,9 @@ does."""
 EVERY = 5
 """Steps after which the way of a motion is followed."""
 
+SEARCHED = 600.0
+"""Time limit of inverse kinematics, s: none on an idle machine, where its search takes 2 s."""
+
 ARRIVED = 2e-6
 """Distance (m) at which a target is met: what the robot of the server calls arrived, with rounding."""
 
@@ -76,7 +78,7 @@ class Rest:
     """How a motion ended."""
 
     settled: float
-    """Seconds from NEAR its last place to rest; infinite where it does not rest."""
+    """Seconds from NEAR its last place to its last motion; infinite where it does not rest."""
     reversals: int
     """In the last RESTED seconds, of the joint with the most."""
     acceleration: float
@@ -113,40 +115,38 @@ def made(robot: Robot, start: Any, asked: argparse.Namespace) -> Any:
 
 
 def lead(servo: Any, target: Array, dt: float, server: bool, seek: bool = False) -> Rest:
-    """The motion of a servo to a target until it has rested; with `seek` that of the server to the closest pose."""
+    """The motion of a servo to a target, or with `seek` to the closest pose, until it has rested."""
     o, clock = servo.options, [0.0]
     arm = CrtkRobot(servo)
     if server:
         arm.command({"op": "state_command", "command": "enable"}, 0.0)
-    if seek:
-        arm.command({"op": "move_cp", "position": target.tolist(), "closest": True}, 0.0)
     first = servo.equilibrium
     sent = [np.concatenate([first.rotations, first.translations])]
     n = len(first.rotations)
     rates = np.repeat([o.turn_rate, o.shift_rate], n)
-    tips, margin, rested, why, start_time = [first.tip_position], first.margin, 0, None, time.perf_counter()
-    while (rested * dt < RESTED or (seek and arm.busy)) and len(sent) * dt < LONGEST:
+    tips, margin, rested, text, start_time = [first.tip_position], first.margin, 0, "", time.perf_counter()
+    while rested * dt < RESTED and len(sent) * dt < LONGEST:
         if server:
             clock[0] += dt
-            if not seek:
-                arm.command({"op": "servo_cp", "position": target.tolist()}, clock[0])
-            elif arm.searching is not None:  # time stands still meanwhile
-                wait([arm.searching])
+            arm.command({"op": "servo_cp", "position": target.tolist(), "closest": seek}, clock[0])
             arm.tick(lambda: clock[0], dt)
+            text = arm.report(0.0)["why"]
         else:
-            why = servo.step(Command(position=target), dt).why
+            text = servo.step(Command(position=target, closest=seek), dt).why.text
         here = servo.equilibrium
         sent.append(np.concatenate([here.rotations, here.translations]))
         tips.append(here.tip_position)
         margin = min(margin, here.margin)
-        rested = rested + 1 if (np.abs(sent[-1] - sent[-2]) < RESTS * rates * dt).all() else 0
+        seeks = WORDS[Why.SEEKING] in text
+        rested = rested + 1 if not seeks and (np.abs(sent[-1] - sent[-2]) < RESTS * rates * dt).all() else 0
     q, away = np.array(sent), np.linalg.norm(np.array(tips) - tips[-1], axis=1)
     near = len(q) - int(np.argmax((away > NEAR)[::-1])) if (away > NEAR).any() else 0
     moved = np.diff(q[-int(RESTED / dt) :], axis=0)
+    still = int(np.argmax((np.abs(np.diff(q, axis=0)) >= RESTS * rates * dt).any(1)[::-1]))
     signs = [np.sign(column[np.abs(column) > MOVES]) for column in moved.T]
     limits = np.repeat([o.turn_acceleration or np.inf, o.shift_acceleration or np.inf], n)
     speed = np.vstack([np.zeros(2 * n), np.diff(q, axis=0) / dt])
-    settled = (len(q) - rested - near) * dt if rested * dt >= RESTED else np.inf
+    settled = (len(q) - still - near) * dt if rested * dt >= RESTED else np.inf
     return Rest(
         max(settled, 0.0),
         max(int((np.diff(each) != 0).sum()) for each in signs),
@@ -155,7 +155,7 @@ def lead(servo: Any, target: Array, dt: float, server: bool, seek: bool = False)
         float(np.linalg.norm(tips[-1] - target)),
         (here.rotations, here.translations),
         tips[-1],
-        arm.report(0.0)["why"] if server else why.text,
+        text,
         (time.perf_counter() - start_time) / (len(sent) - 1) * 1e3,
         np.vstack([q[:-1:EVERY], q[-1:]]),
     )
@@ -174,7 +174,10 @@ def posed(robot: Robot, random: np.random.Generator, floor: float) -> tubeopt.Eq
 
 def closest(robot: Robot, start: Any, target: Array, floor: float) -> float:
     """Distance (m) to which inverse kinematics comes from a start."""
-    result = tubeopt.inverse_kinematics(robot, target, start=start, on_failure="closest", min_margin=floor)
+    options = tubeopt.InverseOptions(time_limit=SEARCHED)
+    result = tubeopt.inverse_kinematics(
+        robot, target, start=start, on_failure="closest", min_margin=floor, options=options
+    )
     return float(np.linalg.norm(result.equilibrium.tip_position - target))
 
 
@@ -299,7 +302,7 @@ def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str,
             target = random.normal(size=3)
             target *= longest * random.uniform() ** (1 / 3) / np.linalg.norm(target)
         servo = made(robot, (start.rotations, start.translations), asked)
-        result = lead(servo, target, asked.dt, asked.kind == "server" or asked.seek, asked.seek)
+        result = lead(servo, target, asked.dt, asked.kind == "server", asked.seek)
         row = vars(result) | {"robot": name, "case": k, "joints": [each.tolist() for each in result.joints]}
         del row["path"], row["tip"]
         if asked.snap_deg:
@@ -360,7 +363,7 @@ def main() -> None:
     parser.add_argument("--number", type=int, default=1000, help="of targets, over all robots")
     parser.add_argument("--kind", choices=("python", "c", "server"), default="c")
     parser.add_argument("--compare", type=int, default=0, help="motions of each robot compared with ik --closest")
-    parser.add_argument("--seek", action="store_true", help="moves of the server to the closest pose")
+    parser.add_argument("--seek", action="store_true", help="commands that ask for the closest pose")
     parser.add_argument("--certify", type=int, default=0, help="motions of each robot whose rest is looked into")
     parser.add_argument("--dt", type=float, default=2e-3, help="cycle, s")
     parser.add_argument("--floor", type=float, default=0.1, help="of the margin")

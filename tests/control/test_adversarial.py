@@ -62,7 +62,8 @@ def commands(space: JointSpace, at: Any, random: np.random.Generator) -> Iterato
             {"velocity": away, "direction": np.array([1e-320, 1e308, 0.0])},
             {"joints": (goal[0], np.array(goal[1]))},
             {"joints": (random.normal(size=n), random.normal(size=n) * size)},
-        ][random.integers(6)]
+            {"position": at().tip_position + size * away, "closest": True},
+        ][random.integers(7)]
         if random.random() < 0.3:
             name = random.choice(list(told))
             bad = BAD[random.integers(len(BAD))]

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from concurrent.futures import wait
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.examples import CRL, THESIS
-from tubeopt import ConcentricRobot, InputError, forward_kinematics, inverse_kinematics, load_robot
+from tubeopt import ConcentricRobot, InputError, Sphere, follow, forward_kinematics, inverse_kinematics, load_robot
+from tubeopt.bodies.obstacles import scene_of
 from tubeopt.control.c_binding import CServo
 from tubeopt.control.c_library import c_library
 from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
-from tubeopt.control.crtk import ClosestPath, CrtkRobot
+from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.lookahead import PredictiveServo
 from tubeopt.control.servo import Servo
+from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.library import compile_to, compiler
 
@@ -196,57 +197,129 @@ def test_hold_home_and_relative_joints_of_the_server() -> None:
     assert arm.report(0.3)["why"] == "stopped by command"
 
 
-def moved_to_closest(arm: CrtkRobot, position: Sequence[float]) -> tuple[float, float]:
-    """Distances (m) from a target where the servo rests, and where the move to the closest pose ends."""
-    clock, rest = [0.0], np.nan
-    away = lambda: float(np.linalg.norm(arm.servo.equilibrium.tip_position - position))  # noqa: E731
+# At home the transitions of both tubes are at the plate, where the distance has a kink. The translation alone brings
+# the tip no closer there, but rotations do.
+KINK = ([2.8692, -0.122], [0.0041, 0.0041]), (-0.0019, -0.0813, 0.0402)
+
+# Where the servo rests, the tip is 22 mm farther from the target than the pose that `ik --closest` finds.
+MINIMUM = ([0.234, 0.613, -2.701], [-0.0393, -0.0424, -0.0699]), (0.0367, -0.3115, -0.2274)
+
+
+def led_to_closest(servo: Servo | CServo, position: Sequence[float], dt: float) -> tuple[list[ServoStep], float]:
+    """Steps until the robot rests after its search, and distance (m) from the target where it rested before."""
+    command, steps, rest, still = Command(position=position, closest=True), [], np.nan, 0
+    while still < 20:
+        steps.append(servo.step(command, dt))
+        assert len(steps) < 8000
+        why = steps[-1].why
+        still = still + 1 if Why.NO_CLOSER in why and Why.SEEKING not in why else 0
+        if np.isnan(rest) and Why.SEEKING in why:
+            rest = steps[-1].distance
+    return steps, rest
+
+
+@pytest.fixture
+def few_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four scouts a search in Python: from MINIMUM, one of them comes closer."""
+    monkeypatch.setattr("tubeopt.control.closest.TRIALS", 4)
+
+
+@pytest.fixture
+def one_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One scout a search in Python."""
+    monkeypatch.setattr("tubeopt.control.closest.TRIALS", 1)
+
+
+@pytest.mark.usefixtures("few_trials")
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_search_leads_from_a_local_minimum_to_the_closest_pose(kind: str) -> None:
+    start, target = MINIMUM
+    servo, dt = made(kind, THESIS, start, speed=0.5, shift_rate=0.5, **ACCELERATIONS), 1e-2
+    first = servo.equilibrium
+    steps, rest = led_to_closest(servo, target, dt)
+    found = inverse_kinematics(THESIS, target, min_margin=0.1, on_failure="closest")
+    assert steps[-1].distance < rest - 0.02
+    assert steps[-1].distance < found.position_error + 1e-4
+    q = np.vstack([np.concatenate([first.rotations, first.translations]), joints_of(steps)])
+    passed = follow(THESIS, *np.split(q[::5], 2, axis=1), start=forward_kinematics(THESIS, *start))
+    assert not passed.snaps
+    assert min(step.equilibrium.margin for step in steps) > 0.1
+    change = np.abs(np.diff(q, 2, axis=0)) / dt**2
+    assert (change <= np.repeat([30.0, 1.0], 3) * (1 + ROUNDING) + 1e-6).all()
+    assert np.abs(np.diff(q, axis=0))[:, :3].max() <= 3.0 * dt * (1 + ROUNDING)
+
+
+@pytest.mark.usefixtures("one_trial")
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_robot_stays_where_no_scout_comes_closer(kind: str) -> None:
+    servo = made(kind, TWO_TUBES, KINK[0], speed=0.2, shift_rate=0.2)
+    steps, rest = led_to_closest(servo, KINK[1], 4e-3)
+    assert steps[-1].distance == pytest.approx(rest, abs=1e-6)
+    last = steps[-1]
+    assert np.array_equal(servo.step(Command(position=KINK[1], closest=True), 4e-3).rotations, last.rotations)
+
+
+@pytest.mark.usefixtures("one_trial")
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_new_target_ends_the_search(kind: str) -> None:
+    start, target = MINIMUM
+    servo = made(kind, THESIS, start, speed=0.5, shift_rate=0.5)
+    while Why.SEEKING not in servo.step(Command(position=target, closest=True), 5e-3).why:
+        pass
+    near = servo.equilibrium.tip_position + np.array([0.0, 0.005, 0.002])
+    steps = [servo.step(Command(position=near, closest=True), 5e-3) for _ in range(200)]
+    assert not any(Why.SEEKING in step.why for step in steps[:20])
+    assert steps[-1].distance < 1e-6
+
+
+@pytest.mark.usefixtures("one_trial")
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_moves_to_targets_within_reach_are_the_same_with_search(kind: str) -> None:
+    one, two = (made(kind, THESIS, START, **ACCELERATIONS) for _ in range(2))
+    target = one.equilibrium.tip_position + np.array([5e-3, -3e-3, 2e-3])
+    for _ in range(150):
+        plain, seeking = (s.step(Command(position=target, closest=s is two), 2e-3) for s in (one, two))
+        assert seeking.rotations == pytest.approx(plain.rotations, abs=1e-12)
+        assert seeking.translations == pytest.approx(plain.translations, abs=1e-12)
+        assert plain.why == seeking.why
+
+
+@pytest.mark.usefixtures("few_trials")
+def test_search_keeps_clear_of_bodies() -> None:
+    """The way of the scout, and so that of the robot, keeps the clearance of a body beside it."""
+    start, target = MINIMUM
+    body = Sphere((-0.03, -0.05, 0.1), 0.02)
+    servo = Servo(THESIS, start, obstacles=[body], options=ServoOptions(speed=0.5, shift_rate=0.5, clearance=1e-3))
+    steps, rest = led_to_closest(servo, target, 5e-3)
+    assert steps[-1].distance < rest - 0.02
+    scene = scene_of([body])
+    for step in steps[::10]:
+        assert ArmSurface(step.equilibrium).clearance(scene, 1.0) > 1e-3 - 1e-6
+
+
+@pytest.mark.usefixtures("few_trials")
+def test_move_of_the_server_ends_at_the_closest_pose() -> None:
+    start, target = MINIMUM
+    arm, clock = CrtkRobot(made("c", THESIS, start, speed=0.5, shift_rate=0.5)), [0.0]
     arm.command({"op": "state_command", "command": "enable"}, 0.0)
-    arm.command({"op": "move_cp", "position": list(position), "closest": True}, 0.0)
+    arm.command({"op": "move_cp", "position": list(target), "closest": True}, 0.0)
     while arm.busy:
-        if arm.searching is not None and not arm.servo.moving:
-            rest = away()
-            wait([arm.searching], timeout=120)
         clock[0] += 5e-3
         arm.tick(lambda: clock[0], 5e-3)
-    return rest, away()
+    end = float(np.linalg.norm(arm.servo.equilibrium.tip_position - target))
+    assert end == pytest.approx(0.38742, abs=1e-4)
+    assert arm.events[-1] == ("status", f"the closest pose found is {end * 1e3:.3g} mm away")
 
 
-def test_move_to_the_closest_pose_leaves_a_local_minimum() -> None:
-    """The place of rest is 22 mm farther from the target than the pose that `ik --closest` finds."""
-    start = ([0.234, 0.613, -2.701], [-0.0393, -0.0424, -0.0699])
-    servo = made("python", THESIS, start, speed=0.5, shift_rate=0.5)
-    arm, target = CrtkRobot(servo), [0.0367, -0.3115, -0.2274]
-    rest, end = moved_to_closest(arm, target)
-    found = inverse_kinematics(THESIS, target, min_margin=0.1, on_failure="closest")
-    assert end < rest - 5e-3
-    assert end < found.position_error + 1e-4
-    assert arm.events[-1][0] == "status"
-    assert f"{end * 1e3:.4g} mm" in arm.events[-1][1]
-
-
-@pytest.mark.parametrize("error", [False, True])
-def test_search_of_the_closest_pose_may_end_without_a_path(error: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    def search(*_: object) -> ClosestPath:
-        if error:
-            raise RuntimeError("broken")
-        return ClosestPath([], "there is no path")
-
-    monkeypatch.setattr("tubeopt.control.crtk.closest_path", search)
-    arm = CrtkRobot(made("python", THESIS, START, speed=0.5, shift_rate=0.5))
-    if error:
-        with pytest.raises(RuntimeError, match="broken"):
-            moved_to_closest(arm, [0.25, 0.1, 0.0])
-    else:
-        rest, end = moved_to_closest(arm, [0.25, 0.1, 0.0])
-        assert end == rest
-        assert arm.events[-1] == ("warning", "there is no path")
-
-
-def test_closest_is_true_or_false() -> None:
+def test_closest_is_true_or_false_and_for_positions() -> None:
     arm = CrtkRobot(made("python", THESIS, START))
     arm.command({"op": "state_command", "command": "enable"}, 0.0)
     with pytest.raises(InputError, match="closest is 1; it must be true or false"):
         arm.command({"op": "move_cp", "position": [0, 0, 0.1], "closest": 1}, 0.0)
+    with pytest.raises(InputError, match="closest is for a position"):
+        Command(direction=(0, 0, 1), closest=True)
+    with pytest.raises(InputError, match="look-ahead"):
+        PredictiveServo(THESIS, START).step(Command(position=(0, 0, 0.1), closest=True), 0.02)
 
 
 @pytest.mark.parametrize(("kind", "count"), [("python", 300), ("c", 3000)])
@@ -275,11 +348,6 @@ def test_accelerations_are_kept_whatever_is_commanded(kind: str, count: int) -> 
         assert np.abs(speed[3:]).max() <= 0.05 + 1e-9
         assert not space.outside(space.join(step.rotations, step.translations))
         last = speed
-
-
-# At home the transitions of both tubes are at the plate, where the distance has a kink. The translation alone brings
-# the tip no closer there, but rotations do.
-KINK = ([2.8692, -0.122], [0.0041, 0.0041]), (-0.0019, -0.0813, 0.0402)
 
 
 @pytest.mark.parametrize("kind", ["python", "c"])

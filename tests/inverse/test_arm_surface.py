@@ -257,3 +257,15 @@ def test_who_is_looked_around_for_misses_no_contact() -> None:
             )
             observed.add(bool(len(report.body)))
     assert observed == {True, False}
+
+
+def test_clearance_of_a_withdrawn_arm_is_that_of_its_point_at_the_plate() -> None:
+    arm = forward_kinematics(THESIS, [0, 1, 2], [-tube.curved_length for tube in THESIS.tubes])
+    assert arm.arc_length[-1] == 0
+    radius, ball = max(tube.outer_diameter for tube in THESIS.tubes) / 2, Sphere((0.0, 0.03, 0.04), 0.02)
+    scene, surface = Scene((ball,)), ArmSurface(arm)
+    surface.look_around(ClearanceMonitor(scene), 0.01)
+    assert 0.03 - radius - 1e-9 <= surface.clearance(scene, 0.1) <= 0.03
+    near = Scene((Sphere((0.0, 0.03, 0.04), 0.049),))
+    surface.look_around(ClearanceMonitor(near), 0.01)
+    assert 1e-3 - radius - 1e-9 <= surface.clearance(near, 0.1) <= 1e-3

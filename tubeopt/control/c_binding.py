@@ -45,6 +45,9 @@ TOO_LARGE = (
 # Change of a joint (rad, m) in a step below which it rests.
 RESTS = 1e-12
 
+# Steps of the search of a closer pose in one call: with the step of the robot they take 0.3 ms.
+SEEKING_STEPS = 8
+
 # Points of the centreline of a pose.
 POINTS = 40
 
@@ -109,7 +112,7 @@ class CRobot:
         start.argtypes, start.restype = [ctypes.c_void_p], ctypes.c_void_p
         self.memory = ctypes.c_void_p(start(self._room.ctypes.data))
         # What goes in and comes out stays where it is: to ask NumPy for an address takes as long as a step's algebra.
-        self._in, self._pose, self._report = np.zeros(max(18, 2 * self.n)), np.zeros(3 * self.n + 16), np.zeros(3)
+        self._in, self._pose, self._report = np.zeros(max(19, 2 * self.n)), np.zeros(3 * self.n + 16), np.zeros(3)
         self._to = np.zeros(2 * self.n)
         self._slopes = np.full(6 * 2 * self.n + 2 * self.n**2 + 2 * self.n + 36, np.nan)
         self._length, self._points = np.zeros(POINTS), np.zeros((POINTS, 3))
@@ -234,16 +237,17 @@ class CRobot:
     def servo(
         self, command: Array, contacts: Array | None = None, clearance: float = 0.0
     ) -> tuple[CPose, float, float, Why]:
-        """Pose after one step of a command (12,) to (18,), distance (m) and angle (rad) to the target, and reason.
+        """Pose after one step of a command (12,) to (19,), distance (m) and angle (rad) to the target, and reason.
 
         A command has the step (s), position and direction (3,) each, speed, rates of rotations and of translations,
         least margin, push, accelerations of rotations and of translations (0: no limit), least snap distance (rad, 0:
-        the margin counts), and a velocity (3,) in place of the position (0: the position counts).
+        the margin counts), a velocity (3,) in place of the position (0: the position counts), and the number of steps
+        of the search of a closer pose (0: no search).
 
         `contacts` (c, 5): arc lengths, unit vectors away from bodies, and distances (m) where the arm comes close to
         them; the step keeps `clearance` (m). Raises InputError for too many, under load, and if the library has none.
         """
-        self._in[12:18] = 0.0
+        self._in[12:19] = 0.0
         self._in[: len(command)] = command
         if contacts is None:
             self._call("servo")
@@ -404,7 +408,9 @@ class CServo:
         speed = o.speed if commanded or not self.limited else 0.0
         accelerations = o.turn_acceleration or 0.0, o.shift_acceleration or 0.0
         limits = [speed, o.turn_rate, o.shift_rate, o.min_margin, push, *accelerations]
-        arguments = np.concatenate([[dt], goal_position, pointing, limits, [o.min_snap_distance or 0.0], velocity])
+        seeks = SEEKING_STEPS if command.closest else 0
+        snap = o.min_snap_distance or 0.0
+        arguments = np.concatenate([[dt], goal_position, pointing, limits, [snap], velocity, [seeks]])
         if command.joints is not None:
             rotations, shift = self.space.split(at_most(configuration(self.space, "joints", command.joints), "joints"))
             if not self.space.admissible(self.space.join(rotations, np.array(shift), "joints")):

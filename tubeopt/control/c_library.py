@@ -48,6 +48,7 @@ from ..solvers.compiled.loaded import MOST_PIECES, loaded_text
 from ..solvers.compiled.text import HERE, c_tables, defined, numbers, with_included
 from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array
+from .closest import TRIALS
 from .command import MOST_NUMBER, ServoOptions
 
 C_FOLDER = Path(__file__).parent / "c"
@@ -231,6 +232,8 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "ORDER": space.rows if space.rows.size else np.zeros(1),
         "LEAST": space.row_lower if space.row_lower.size else np.zeros(1),
     }
+    starts = space.sample(TRIALS)
+    tables["STARTS"] = starts
     rows = 2 * m + len(space.row_lower) + 1 + len(breaks)
     defines = {
         "JOINTS": m,
@@ -238,6 +241,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
         "BREAKS": len(breaks),
         "MOST_ROWS": f"({rows}{' + TUBEOPT_MOST_CONTACTS' if _is_centred(robot) else ''})",
         "LONGEST_TUBE": space.length,
+        "TRIALS": len(starts),
     }
     lines = [*(f"#define {key} {value}" for key, value in defines.items()), c_tables(tables)]
     lines += [f"static const long long CARRIAGES[] = {{{', '.join(map(str, carriage))}}};"]

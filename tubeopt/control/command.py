@@ -59,6 +59,8 @@ class Command(Displayed):
     """(3,) point that the arm must pass through, m, for example an incision."""
     joints: Configuration | None = None
     """Rotations and translations to go to, as a configuration."""
+    closest: bool = False
+    """True to leave local minima of the distance: at rest short of its target, the servo searches a closer pose."""
 
     def __post_init__(self) -> None:
         for name in TASKS[:4]:
@@ -70,6 +72,10 @@ class Command(Displayed):
             raise InputError("position and velocity are both given; give one of them")
         if self.joints is not None:
             parts("joints", self.joints)
+        if not isinstance(self.closest, bool):
+            raise InputError(f"closest is {self.closest!r}; it must be true or false")
+        if self.closest and (self.position is None or self.joints is not None):
+            raise InputError("closest is for a position, without joints")
         if self.direction is not None:
             largest = float(np.abs(self.direction).max())
             if not largest > 0:
@@ -164,6 +170,7 @@ class Why(enum.IntFlag):
     HELD = 32
     OBSTACLE = 64
     NO_CLOSER = 128
+    SEEKING = 256
 
     @property
     def text(self) -> str:
@@ -180,6 +187,7 @@ WORDS = {
     Why.HELD: "no step is safe, the robot stays where it is",
     Why.OBSTACLE: "the arm slides along an obstacle",
     Why.NO_CLOSER: "no small motion brings the tip closer to the target",
+    Why.SEEKING: "the robot searches a closer pose, or moves to one",
 }
 
 

@@ -10,28 +10,20 @@ moves farther than its rate allows in the time that has passed since the last st
 from __future__ import annotations
 
 import math
-import threading
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, nearest, vector
 from ..files.units import TO_MM
-from ..inverse.answer import InverseOptions
-from ..inverse.clock import Clock
-from ..inverse.joint_path import snap_free_path
 from ..inverse.joints import configuration
-from ..inverse.solving import inverse_kinematics
-from ..stability.equilibria import find_equilibria
 from ..typing import Array
-from .c_binding import CPose, CServo
+from .c_binding import CServo
 from .command import Command, Why, at_most
 from .servo import Servo
 
@@ -72,7 +64,7 @@ KINDS = {
 COMMANDS: dict[str, tuple[str, ...]] = {
     **{f"servo_{kind}": keys for kind, keys in KINDS.items()},
     **{f"move_{kind}": keys for kind, keys in KINDS.items() if kind[1] != "v"},
-    "move_cp": (*KINDS["cp"], "closest"),
+    **{f"{kind}_cp": (*KINDS["cp"], "closest") for kind in ("servo", "move")},
     "set_js": KINDS["jp"],
     "hold": (),
     "free": (),
@@ -96,13 +88,6 @@ TRANSITIONS = {
 
 STATE_COMMANDS = tuple(dict.fromkeys([command for command, _ in TRANSITIONS] + list(HOMING)))
 
-# Time limit of the search of the closest pose and of a path to it, s, and margin that this path keeps above the
-# smallest one of the servo.
-SEARCH_SECONDS, FLOOR_ROOM = 40.0, 2e-3
-
-# Distance of tips of one equilibrium, m.
-SAME_TIP = 1e-6
-
 # Events that are kept until they are published: more at once say nothing new.
 MOST_EVENTS = 16
 
@@ -122,69 +107,12 @@ class _Goal:
     """(2n,) velocities of the joints, rad/s and m/s, in place of the command."""
     angular: Array | None = None
     """(3,) angular velocity of the tip direction in addition to the command, rad/s."""
-    searches: bool = False
-    """True if a move that comes no closer continues to the closest pose of inverse kinematics."""
-    found: Future[ClosestPath] | None = None
-    """Running search; None before it starts."""
-    waypoints: list[Command] = field(default_factory=list)
-    """Joint values that the robot passes after the command."""
-    words: str = ""
-    """Result of the search as text."""
     closest: float = math.inf
     closer: float = 0.0
 
     def stale(self, now: float, watchdog: float) -> bool:
         """True for a stream without recent messages; clock jumps have no influence."""
         return self.stream and not 0 <= now - self.since <= watchdog
-
-
-class ClosestPath(NamedTuple):
-    """Snap-free joint path to the closest pose to a target that a search has found."""
-
-    waypoints: list[tuple[Array, Array]]
-    """Rotations and translations after the start; none if no closer pose, or no path to it, was found."""
-    words: str
-    """Result as text."""
-
-
-def closest_path(
-    servo: AnyServo, arm: Equilibrium | CPose, command: Command, seconds: float = SEARCH_SECONDS
-) -> ClosestPath:
-    """Search the closest pose to a target by inverse kinematics, and a path to it above the servo's smallest margin.
-
-    Args:
-        servo: has joint space and options.   arm: where the robot rests.   command: has the target.
-        seconds: limit of the search.
-    """
-    space, floor = servo.space, servo.options.min_margin + FLOOR_ROOM
-    clock = Clock(seconds)
-    assert command.position is not None
-    # The library in C has tips of its equilibria; of several at these joint values the one with this tip is meant.
-    known = find_equilibria(space.robot, arm.rotations, arm.translations)
-    here = next((e for e in known if math.dist(e.tip_position, arm.tip_position) < SAME_TIP), None)
-    if here is None:
-        return ClosestPath([], "no closer pose is searched: the robot carries a load")
-    try:
-        answer = inverse_kinematics(
-            space.robot,
-            command.position,
-            direction=command.direction,
-            start=here,
-            min_margin=floor,
-            limits=space.limits,
-            on_failure="closest",
-            options=InverseOptions(time_limit=seconds / 2),
-        )
-    except SolveError as error:
-        return ClosestPath([], f"no closer pose was found: {error}")
-    at = answer.equilibrium
-    before, after = (math.dist(command.position, e.tip_position) for e in (arm, at))
-    if after > before - ARRIVED and command.direction is None:
-        return ClosestPath([], "the search of inverse kinematics finds no closer pose")
-    table = snap_free_path(space, here, at, clock, least_margin=floor)
-    if table is None:
-        return ClosestPath([], f"a pose {after * TO_MM:.4g} mm from the target exists, but no snap-free path was found")
-    return ClosestPath(list(zip(*table, strict=True))[1:], f"the closest pose found is {after * TO_MM:.4g} mm away")
 
 
 @typed
@@ -215,11 +143,6 @@ class CrtkRobot:
     def busy(self) -> bool:
         """True while a `move_...` command is running."""
         return self._goal is not None and not self._goal.stream
-
-    @property
-    def searching(self) -> Future[ClosestPath] | None:
-        """Running search of the closest pose; None without one."""
-        return None if self._goal is None else self._goal.found
 
     def command(self, message: Mapping[str, Any], now: float) -> None:
         """Execute a message {"op": name, ...}: start a motion, stop, or change the state.
@@ -258,16 +181,7 @@ class CrtkRobot:
         else:
             read = {"cp": self._pose, "cr": self._pose_from_here, "jp": self._joints, "jr": self._joints_from_here}
             desired = read[kind](message)
-        return _Goal(desired, now, name.startswith("servo"), rates, angular, self._searches(message), closer=now)
-
-    def _searches(self, message: Mapping[str, Any]) -> bool:
-        """True if a message asks for the closest pose."""
-        asked = message.get("closest", False)
-        if not isinstance(asked, bool):
-            raise InputError(f"closest is {asked!r}; it must be true or false")
-        if asked and isinstance(self.servo, Servo) and self.servo.guard.scene.bodies:
-            raise InputError("closest is for a robot without bodies")
-        return asked
+        return _Goal(desired, now, name.startswith("servo"), rates, angular, closer=now)
 
     def release(self) -> None:
         """Stop and keep the position after the commander has disconnected."""
@@ -290,9 +204,6 @@ class CrtkRobot:
         A stream without new commands stops the robot. If its watchdog expires during the step, the step is undone.
         """
         goal = self._goal
-        if goal is not None and goal.found is not None and goal.found.done():
-            self._continue(goal, goal.found.result(), clock())
-            goal = self._goal
         self._before, self._moved = self.servo.equilibrium, dt
         if (goal is None or self.state != "ENABLED") and not self.servo.moving:
             return
@@ -301,10 +212,7 @@ class CrtkRobot:
             self._late()
             if not self.servo.moving:
                 return
-        rests = goal is not None and goal.found is not None
-        if rests and not self.servo.moving:
-            return
-        brakes = self._goal is None or self.state != "ENABLED" or rests
+        brakes = self._goal is None or self.state != "ENABLED"
         if goal is None or brakes:
             goal = _Goal(Command(), now, True)
         if self.sent is not None and now < self.sent:  # the clock has gone back
@@ -365,34 +273,22 @@ class CrtkRobot:
         """End a move that has reached its target or no longer comes closer."""
         angle, shift = self._missing(goal.command)
         left = max(angle, shift)
-        if left < goal.closest - min(CLOSER, goal.closest / 2) or goal.closest == math.inf:
+        # A move to the closest pose ends at rest, after the search.
+        seeks = goal.command.closest and (Why.SEEKING in self._why or not self._why & (Why.NO_CLOSER | Why.HELD))
+        if seeks or left < goal.closest - min(CLOSER, goal.closest / 2) or goal.closest == math.inf:
             goal.closest, goal.closer = left, now
-        if left < ARRIVED and goal.waypoints:
-            goal.command, goal.closest = goal.waypoints.pop(0), math.inf
-        elif left < ARRIVED:
-            self._goal, self._message = None, goal.words
-            if goal.words:
-                self.events.append(("status", goal.words))
-        elif now - goal.closer > STUCK and goal.searches and goal.command.joints is None:
-            if not self.servo.moving:  # the robot rests until the search ends
-                goal.found = _in_background(closest_path, self.servo, self.servo.equilibrium, goal.command)
-                self._message = "the closest pose is searched"
+        if left < ARRIVED:
+            self._goal, self._message = None, ""
         elif now - goal.closer > STUCK:
             self._goal = None
             parts = {f"{math.degrees(angle):.3g} deg": angle, f"{shift * TO_MM:.3g} mm": shift}
             far = " and ".join(part for part, missing in parts.items() if missing >= ARRIVED)
+            if goal.command.closest:
+                self._message = f"the closest pose found is {far} away"
+                self.events.append(("status", self._message))
+                return
             self._message = f"the move has ended {far} short: {self._message or 'it comes no closer'}"
             self.events.append(("warning", self._message))
-
-    def _continue(self, goal: _Goal, path: ClosestPath, now: float) -> None:
-        """Go on along the path that the search of the closest pose has found, or end the move."""
-        goal.found, goal.searches, goal.words = None, False, path.words
-        goal.waypoints = [Command(joints=joints) for joints in path.waypoints]
-        if goal.waypoints:
-            goal.command, goal.closest, goal.closer = goal.waypoints.pop(0), math.inf, now
-            return
-        self._goal, self._message = None, path.words
-        self.events.append(("warning", path.words))
 
     def _missing(self, command: Command) -> tuple[float, float]:
         """Remaining distance of a move to its target, rad and m."""
@@ -479,7 +375,8 @@ class CrtkRobot:
 
     def _pose(self, message: Mapping[str, Any]) -> Command:
         position, pointing = _numbers(message, "position", "m"), message.get("direction")
-        command = Command(position=position, direction=None if pointing is None else _numbers(message, "direction", ""))
+        direction = None if pointing is None else _numbers(message, "direction", "")
+        command = Command(position=position, direction=direction, closest=message.get("closest", False))
         far, longest = math.hypot(*position), self.servo.space.longest
         if far > longest + ROUND_OFF:
             raise InputError(
@@ -532,20 +429,6 @@ class CrtkRobot:
         rotation = scipy.spatial.transform.Rotation.from_matrix(arm.tip_rotation @ before.tip_rotation.T).as_rotvec()
         linear = (arm.tip_position - before.tip_position) / self._moved
         return {"linear": linear.tolist(), "angular": (rotation / self._moved).tolist()}
-
-
-def _in_background(function: Callable[..., ClosestPath], *arguments: Any) -> Future[ClosestPath]:
-    """Result of a function that runs in a thread of its own, which does not delay the end of the process."""
-    result: Future[ClosestPath] = Future()
-
-    def run() -> None:
-        try:
-            result.set_result(function(*arguments))
-        except Exception as error:  # any error of the search is the error of the step that reads its result
-            result.set_exception(error)
-
-    threading.Thread(target=run, daemon=True).start()
-    return result
 
 
 def _check_keys(name: str, message: Mapping[str, Any]) -> None:

@@ -368,12 +368,15 @@ class PredictiveServo:
         The robot does not move until the planned path is allowed; `why` then names the violated constraints.
 
         Raises:
-            InputError: a command without a position, or with more than position and direction.
+            InputError: a command without a position, or with more than position and direction; one that asks for the
+                closest pose.
         """
         dt = time_step(dt)
         check_places(command, self._guard.space.robot)
         if command.position is None or command.pivot is not None or command.joints is not None:
             raise InputError("a servo with look-ahead follows a position, and a direction if one is given")
+        if command.closest:
+            raise InputError("closest is not for a servo with look-ahead; use Servo")
         aim = Aim(command.position, command.direction)
         remaining, current = self._guard.left(command), self._guard.posture
         if self._near and remaining[0] < CLOSE * self._guard.space.length and not self._new(aim):

@@ -30,6 +30,7 @@ from ..solvers.blas import small
 from ..solvers.compiled.quadratic import constrained_least_squares
 from ..stability.snap_distance import proved_turn
 from ..typing import Array, Index
+from .closest import ClosestSearch
 from .command import Command, ServoOptions, ServoStep, Why, at_most, check_places, time_step
 
 # Times that a step is halved which the guard rejects: a sixteenth of a step is not worth its equilibrium.
@@ -419,6 +420,11 @@ class Servo:
         self._ease = 1.0
         """Part of the push of the objective: it halves where the push goes back and forth."""
         self._goal: Array | None = None
+
+        def scout_of(at: Equilibrium, of: ServoOptions) -> Servo:
+            return Servo(robot, at, limits=limits, obstacles=obstacles, options=of)
+
+        self._closest = ClosestSearch(self, self.space, self.options, scout_of)
         if self.options.objective == "compliance" and compiled_slopes(self.equilibrium) is None:
             raise InputError(
                 "objective is 'compliance'; it needs a compiled kernel for the robot; choose another objective"
@@ -428,6 +434,11 @@ class Servo:
     def equilibrium(self) -> Equilibrium:
         """Current equilibrium of the robot."""
         return self.guard.arm
+
+    @property
+    def stop(self) -> Array:
+        """(m,) joint values at which the robot comes to rest if it brakes from now on."""
+        return self.guard.posture.q
 
     @property
     def limited(self) -> bool:
@@ -448,6 +459,8 @@ class Servo:
         """
         dt = time_step(dt)
         check_places(command, self.space.robot)
+        if command.closest:
+            return self._closest.step(command, dt)
         guard, m = self.guard, len(self.space.scale)
         current = guard.posture
         remaining = guard.left(command)
@@ -493,7 +506,12 @@ class Servo:
             SolveError: that motion snaps.
         """
         rotations, translations = self.space.split(configuration(self.space, "joints", joints))
-        self.guard.restart(forward_kinematics(self.space.robot, rotations, translations, start=self.equilibrium))
+        self.restart(forward_kinematics(self.space.robot, rotations, translations, start=self.equilibrium))
+        self._closest.reset()
+
+    def restart(self, at: Equilibrium) -> None:
+        """Continue at rest at an equilibrium; raises InputError if it is out of range, or too close to a snap."""
+        self.guard.restart(at)
         self._damping, self._goal = 0.0, None
 
     def _note_target(self, command: Command, dt: float) -> None:

@@ -275,7 +275,8 @@ class ArmSurface:
         cells = np.concatenate([at[:-1], at[1:], ahead[:-1] * length[:, None], ahead[1:] * length[:, None]])
         between = (BETWEEN @ cells.reshape(4, -1)).reshape(-1, 3)
         half = length / (2 * PARTS)
-        reach = np.concatenate([half[:1], *[half] * PARTS])
+        first = half[:1] if len(half) else np.zeros(1)  # an arm that is fully withdrawn is one point
+        reach = np.concatenate([first, *[half] * PARTS])
         np.maximum(reach[1 : len(length)], half[1:], out=reach[1 : len(length)])
         return np.concatenate([at, between]), reach + (within + float(outer_radius(arm.robot).max()) + BEYOND)
 

@@ -7,9 +7,11 @@
 #define NOWHERE (-1e3) /* place (m) of a breakpoint that a tube does not have: always behind the plate */
 #define LONGEST_TUBE longest
 #define PANELS 2
+#define TRIALS 0 /* the page searches no closest pose */
 
 static double longest, SPREAD[2 * N * JOINTS], OFFSET[2 * N], LOWER[JOINTS], UPPER[JOINTS], SCALE[JOINTS];
 static double ORDER[ORDERS * JOINTS], LEAST[ORDERS];
+static const double STARTS[1];
 static long long CARRIAGES[N];
 static int FIRST[2 * N], BREAK_CARRIAGE[BREAKS];
 static double BREAK_AT[BREAKS]; /* transition and end of each tube at its translation 0 */

@@ -35,6 +35,16 @@ typedef struct {
     int loaded;
 } Ball;
 
+#define MOST_WAY 64 /* places of a way to a closer pose */
+
+/* What a search of the closest pose knows: see servo_closest. */
+typedef struct {
+    enum { TOWARDS, OUT, DOWN, STRAIGHT, ALONG } stage; /* robot towards the target; scout; robot along the best way */
+    double position[3], direction[3], best, before;     /* target, smallest miss, and that of a descent some steps before */
+    int round, trial, steps, still, count, best_count, at;
+    tubeopt_joints start, way[MOST_WAY], best_way[MOST_WAY];
+} Seeker;
+
 struct tubeopt_memory {
     Workspace work;
     Answer answers[2], first;                           /* the last equilibrium, room for the next; start of a motion */
@@ -104,9 +114,13 @@ static int proves_loaded(tubeopt_memory *m, double r) { return !m->bears || tube
 #define accept_loaded(memory)
 #endif
 
-size_t tubeopt_memory_size(void) { return 2 * ROOM_OF_ONE; } /* the robot, and where it comes to rest */
+#define ROOMS (TRIALS ? 3 : 2) /* the robot, where it comes to rest, and a scout */
+
+size_t tubeopt_memory_size(void) { return ROOMS * ROOM_OF_ONE + sizeof(Seeker); }
 
 static tubeopt_memory *stop_of(tubeopt_memory *m) { return (tubeopt_memory *)((char *)m + ROOM_OF_ONE); }
+
+static Seeker *seeker_of(tubeopt_memory *m) { return (Seeker *)((char *)m + ROOMS * ROOM_OF_ONE); }
 
 tubeopt_memory *tubeopt_start(void *memory) {
     memset(memory, 0, tubeopt_memory_size());
@@ -270,6 +284,7 @@ tubeopt_status tubeopt_solve(tubeopt_memory *m, const tubeopt_joints *joints, tu
     m->fresh = m->moves = 0;
     m->before = NULL;
     m->damping = m->ball.turn = m->wall = 0; /* a servo begins anew */
+    seeker_of(m)->position[0] = INFINITY;
     m->ease = 1;
     m->patience = PATIENCE;
     memset(m->last, 0, sizeof m->last);
@@ -296,6 +311,7 @@ tubeopt_status tubeopt_follow(tubeopt_memory *m, const tubeopt_joints *joints, t
     if (parts > MOST_PARTS) return TUBEOPT_TOO_FAR;
     if (keep_branch(m, joints, 1 / parts)) return TUBEOPT_SNAP;
     m->moves = m->ball.turn = 0; /* another branch may lead back into the ball */
+    seeker_of(m)->position[0] = INFINITY;
     tell(m, 0, pose);
     return TUBEOPT_DONE;
 }

@@ -73,7 +73,8 @@ enum {
     TUBEOPT_SHORTENED = 16, /* the guard has shortened the step */
     TUBEOPT_HELD = 32,      /* no step is safe: the robot does not move */
     TUBEOPT_AT_BODY = 64,   /* the arm moves along a body */
-    TUBEOPT_NO_CLOSER = 128 /* no small motion brings the tip closer to the target: it is out of reach from here */
+    TUBEOPT_NO_CLOSER = 128, /* no small motion brings the tip closer to the target: it is out of reach from here */
+    TUBEOPT_SEEKING = 256   /* a closer pose is searched, or the robot is on its way to one */
 };
 
 typedef struct {
@@ -89,6 +90,8 @@ typedef struct {
                                          0: the margin counts. Known for up to four concentric tubes; under a load for
                                          that load, and without it */
     double velocity[3];               /* of the tip, m/s, in place of a position; zeros: the position counts */
+    double closest;                   /* steps in one call of tubeopt_servo that search a closer pose, where the robot rests
+                                         short of its target; 0: none. The robot then goes there, under the same guard */
 } tubeopt_command;
 
 typedef struct {

@@ -246,6 +246,7 @@ static int step_towards(tubeopt_memory *m, const tubeopt_command *c, const Bodie
 static tubeopt_status not_commanded(const tubeopt_command *c) {
     const double *all = (const double *)c;
     int possible = c->step > 0 && c->speed >= 0 && c->turn_rate >= 0 && c->shift_rate >= 0 && c->push >= 0;
+    possible &= c->closest >= 0;
     if (!possible || fmin(fmin(c->turn_acceleration, c->shift_acceleration), c->min_snap_distance) < 0) return TUBEOPT_BAD_INPUT;
     tubeopt_status found = bounded(all, sizeof *c / sizeof *all, TUBEOPT_MOST_NUMBER);
     int away = sqrt(dot(c->position, c->position, 3)) > TUBEOPT_MOST_AWAY * LONGEST_TUBE;
@@ -519,9 +520,11 @@ static tubeopt_status servo_towards(tubeopt_memory *m, const tubeopt_command *c,
     return TUBEOPT_DONE;
 }
 
+#include "seek.c"
+
 tubeopt_status tubeopt_servo(tubeopt_memory *m, const tubeopt_command *c, tubeopt_pose *pose, tubeopt_report *report) {
     Bodies none = {0};
-    return servo_towards(m, c, NULL, &none, pose, report);
+    return c->closest > 0 && !led(c) ? servo_closest(m, c, pose, report) : servo_towards(m, c, NULL, &none, pose, report);
 }
 
 tubeopt_status tubeopt_servo_joints(tubeopt_memory *m, const tubeopt_command *c, const tubeopt_joints *goal, tubeopt_pose *pose,
