@@ -1,12 +1,13 @@
 """How many uncertain rigs keep the window: by the package's own model, and by a model of its own.
 
-    python -m benchmarks.rigs [--rigs N] [--seed N] [--objectives NAME ...] [--sensors NAME ...] [--json]
+    python -m benchmarks.rigs [--tubes ROBOT:N ...] [--rigs N] [--seed N] [--objectives NAME ...] [--sensors NAME ...]
 
 Plan, gains and limits are those that the package makes for the rig of a file. They are then used on rigs that differ
 from it in everything that a workshop has not measured, drawn from ranges as wide as the tables of materials and data
 sheets (`RANGES`), with a thermometer whose error is not symmetric: heat that flows along its wires, wire class, cold
 junction and converter. Rig, wire, sensor and board are those of `rig_thermal` and `rig_loop`, which share no code with
-the package's. At last the switch of every shipped rig is shorted in five states.
+the package's. Tubes of shipped robots are heated on the rig with the mold and clamps that `tubeopt fabricate` plans for
+them. At last the switch of every shipped rig is shorted in five states.
 """
 
 from __future__ import annotations
@@ -22,12 +23,23 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tubeopt import HeatingPlan, HeatingSpec, Rig, Thermocouple, Tube, design_feedback, load_rig, plan_heating
+from tubeopt import (
+    HeatingPlan,
+    HeatingSpec,
+    Rig,
+    Thermocouple,
+    Tube,
+    design_feedback,
+    load_rig,
+    load_robot,
+    plan_heating,
+)
 from tubeopt.shaping.firmware.boards import Wiring, pwm_frequency
 from tubeopt.shaping.firmware.sketch_files import schedules
 from tubeopt.shaping.heating.controller import wilson
 from tubeopt.shaping.heating.cutout import cut_out
 from tubeopt.shaping.heating.sensors import SENSORS, Sensor, equipped
+from tubeopt.shaping.tube_fabrication import plan_tube
 from tubeopt.typing import Array
 
 from .rig_loop import TICKS, Feeler, Led, led
@@ -65,6 +77,12 @@ RANGES = {
     "converter": (-1.0, 1.0),
 }
 """What may differ; factors where a number has no unit."""
+
+STATED = 200
+"""Largest number of rigs on which the package tells its probability."""
+
+OWN = "own"
+"""Name of the tube in the rig's file."""
 
 SHIPPED = ("thesis_calcium_silicate", "thesis_mdf", "thesis_steel")
 """Files in configs/rigs."""
@@ -146,12 +164,16 @@ def reading_error(sensor: Sensor, rig: Rig, d: dict[str, float], hot: float) -> 
 
 @dataclass(frozen=True)
 class Kept:
-    """Rigs led by a sensor: share in the window by the package's model (and of its schedule alone) and here, with a
-    95 % interval; the hottest point of any here, degC; what boards said of those that missed; how many said nothing.
+    """Rigs led by a sensor: length of bare tube beside a clamp, m; what the package says against the plan; share in the
+    window by the package's model (and of its schedule alone) and here, with a 95 % interval; the hottest point of any
+    here, degC; what boards said of those that missed; how many said nothing.
     """
 
+    tube: str
     objective: str
     sensor: str
+    bare: float
+    refused: str
     stated: float
     alone: float
     share: float
@@ -161,24 +183,43 @@ class Kept:
     silent: int
 
 
-def measure(objective: str, sensor: Sensor, rigs: int, seed: int, file: str) -> Kept:
+def planned(tube: str, objective: str, rig: Rig) -> tuple[HeatingPlan, str]:
+    """Plan of the rig's own tube, or of a robot's with the mold as drawn; and why mold and heating do not fit."""
+    spec = HeatingSpec(objective=objective)
+    if tube == OWN:
+        assert rig.tube is not None
+        return plan_heating(rig.tube, with_pulses(rig), spec), ""
+    robot, number = tube.rsplit(":", 1)
+    chosen = load_robot(robot).tubes[int(number) - 1]
+    made = plan_tube(chosen, with_pulses(replace(rig, tube=chosen)), None, spec, number=int(number))
+    return made.heating, made.disagreement
+
+
+def with_pulses(rig: Rig) -> Rig:
+    """Rig with the frequency that its board takes."""
+    return replace(rig, circuit=replace(rig.circuit, pwm_frequency=pwm_frequency(Wiring(), rig)))
+
+
+def measure(tube: str, objective: str, sensor: Sensor, rigs: int, seed: int, file: str) -> Kept:
     """Plan, design and use on drawn rigs."""
     rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
-    rig = equipped(rig, sensor)
-    rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=pwm_frequency(Wiring(), rig)))
-    assert rig.tube is not None
-    plan = plan_heating(rig.tube, rig, HeatingSpec(objective=objective))
-    feedback = design_feedback(plan, sensor, samples=rigs, seed=seed)
-    members = list(drawn(rig.tube, rig, rigs, seed))
+    rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
+    plan, disagreement = planned(tube, objective, equipped(rig, sensor))
+    feedback = design_feedback(plan, sensor, samples=min(rigs, STATED), seed=seed)
+    members = list(drawn(plan.tube, plan.rig, rigs, seed))
     fleet = Fleet([Bench(*member[:2]) for member in members])
     hot = float(feedback.law.reference.max())
     bias = np.array([reading_error(sensor, m[1], m[2], hot) for m in members])
     lag = np.array([sensor.lag / Thermocouple().lag * m[2]["lag"] for m in members])
     found = led(fleet, feedback.law, Feeler(sensor, fleet, bias, hot, lag, seed), schedules(plan, feedback))
     kept = in_window(plan, found)
+    verdict = () if plan.feasible else (plan.verdict,)
     return Kept(
+        tube=tube,
         objective=objective,
         sensor=sensor.name,
+        bare=plan.rig.clamps.clearance,
+        refused="; ".join(filter(None, (*verdict, disagreement, *feedback.problems))),
         stated=feedback.probability,
         alone=feedback.open_loop,
         share=float(kept.mean()),
@@ -212,8 +253,7 @@ def shorted(file: str, count: int, seed: int) -> list[Shorted]:
 
     From the short on the whole current flows until monostable (1.5 periods and a fifth) and cut-out have opened.
     """
-    rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
-    rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=pwm_frequency(Wiring(), rig)))
+    rig = with_pulses(load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml"))
     assert rig.tube is not None
     plan = plan_heating(rig.tube, rig, HeatingSpec(), cures=False)
     delay = 1.8 / rig.circuit.pwm_frequency + rig.circuit.cutout_opening
@@ -253,12 +293,14 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--objectives", nargs="*", default=["margin", "time"], help="of the schedule")
     parser.add_argument("--sensors", nargs="*", default=["thermocouple"])
+    parser.add_argument("--tubes", nargs="*", default=[OWN], help=f"{OWN} (of the rig's file), or such as thesis_ctr:1")
     parser.add_argument("--shorts", nargs="*", default=SHIPPED, help="rigs whose switch is shorted")
     parser.add_argument("--rig", default="thesis_calcium_silicate", help="name of a file in configs/rigs")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     results = [
-        measure(objective, SENSORS[name](), options.rigs, options.seed, options.rig)
+        measure(tube, objective, SENSORS[name](), options.rigs, options.seed, options.rig)
+        for tube in options.tubes
         for objective in options.objectives
         for name in options.sensors
     ]
@@ -266,11 +308,16 @@ def main() -> None:
     if options.json:
         print(json.dumps([*map(asdict, results), *map(asdict, shorts)]))
         return
-    columns = ("objective", "sensor", "stated, %", "alone, %", "here, %", "95 %", "hottest, degC", "missed", "silent")
+    columns = (
+        "tube", "objective", "sensor", "bare, mm", "stated, %", "alone, %", "here, %", "95 %", "hottest, degC",
+        "missed", "silent",
+    )  # fmt: skip
     rows = [
         (
+            k.tube,
             k.objective,
             k.sensor,
+            f"{1e3 * k.bare:.1f}",
             f"{100 * k.stated:.1f}",
             f"{100 * k.alone:.1f}",
             f"{100 * k.share:.1f}",
@@ -284,7 +331,8 @@ def main() -> None:
     tables = [table(f"{options.rigs} rigs, on a model of their own", columns, rows)] if rows else []
     heads = ("rig", "switch shorts", "tube, degC", "peak, degC", "stated, degC")
     lines = [(s.rig, s.state, *(f"{value:.0f}" for value in (s.before, s.peak, s.stated))) for s in shorts]
-    show([*tables, table("shorted switch", heads, lines)] if lines else tables, [])
+    notes = [f"{k.tube}, {k.objective}: {k.refused}" for k in results if k.refused]
+    show([*tables, table("shorted switch", heads, lines)] if lines else tables, notes)
 
 
 if __name__ == "__main__":

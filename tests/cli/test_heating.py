@@ -57,9 +57,7 @@ def test_a_plan_as_a_table(run: Run) -> None:
     outcome = run("heat", "plan", RIG, "--robot", ROBOT, *SHORT, "--charges-percent", "none", "--robust")
     assert outcome.code == 3
     assert re.match(r"success: \d+ % of 8 uncertain rigs keep window and limit", outcome.out)
-    assert re.search(
-        r"error: success: \d+ % of 8 uncertain rigs .* at least one half must: close the loop", outcome.err
-    )
+    assert re.search(r"error: success: \d+ % of 8 uncertain rigs .* at least 50 % must: close the loop", outcome.err)
     for words in ("held: 500 to 550 degC for 5 s", "cold end", "stay in the", "energy balance"):
         assert words in outcome.out
 

@@ -11,7 +11,7 @@ import pytest
 from tests.command_line import ROOT, Run
 
 SHOWN = re.compile(r"^((?:    tubeopt [^\n]+\n)+)\n```text\n(.*?)```", re.MULTILINE | re.DOTALL)
-SUCCESS = "at least one half must"
+SUCCESS = " % must: "
 
 
 def shown(page: str) -> list[tuple[list[str], list[str]]]:

@@ -85,15 +85,23 @@ def test_a_bare_tube_that_no_thermometer_sees_is_named_with_its_cure() -> None:
     assert long.feedback.top.max() > 560 > cured.feedback.top.max()
     assert cured.feedback.probability > long.feedback.probability + 0.2
     hot = 100 * np.mean(long.feedback.top > 560)
-    assert f"on {hot:.0f} % of the uncertain rigs the bare tube beside the clamps" in long.concerns[-1]
-    assert "clearance_mm" in long.concerns[-1]
+    (told,) = [line for line in long.concerns if "clearance_mm" in line]
+    assert "6.0 mm of bare tube" in told
+    assert f"on {hot:.0f} % of the uncertain rigs, up to" in told
+    length, longest = long.feedback.bare
+    assert 2e-3 < longest < length == 6e-3
+    assert f"at most {1e3 * longest:.1f} mm" in told
     assert cured.concerns == cured.problems
     assert f"The board stops by itself at {cured.feedback.law.ceiling:.0f} °C." in safety(cured)
-    assert long.concerns[-1] in safety(long)
+    assert told in safety(long)
     assert not any("by itself" in line for line in safety(replace(cured, feedback=None)))
-    told = Success(0.3, 60, "thermocouple", 0.05)
-    assert "clearance_mm" in unlikely(told)
-    assert "--sensor" not in unlikely(told)
+    few = Success(0.3, 60, "thermocouple", 0.05)
+    assert "at least 95 % must: " in unlikely(few)
+    assert "clearance_mm" in unlikely(few)
+    assert "--sensor" not in unlikely(few)
+    assert not unlikely(Success(0.94, 200, "thermocouple"))
+    assert unlikely(Success(0.9, 200, "thermocouple"))
+    assert not unlikely(Success(0.6, 60))
     assert "--sensor thermocouple" in unlikely(Success(0.3, 60))
 
 

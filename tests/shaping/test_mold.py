@@ -105,10 +105,13 @@ def test_any_tube(diameter: float, length: float, turn: float, straight: float, 
         inner = lead.end if clamp.end == "proximal" else lead.start
         assert math.dist(clamp.face, inner) >= groove.cold.length - 1e-12
         # Its corners are off the plate.
-        along, face = np.asarray(clamp.direction), np.asarray(clamp.face)
+        along, face, jaws = np.asarray(clamp.direction), np.asarray(clamp.face), mold.spec.clamps
         for side in (-1, 1):
-            x, y = face + side * mold.spec.clamps.width / 2 * np.array([-along[1], along[0]])
-            assert not (0 < x < mold.size[0] and 0 < y < mold.size[1])
+            across = side * np.array([-along[1], along[0]])
+            # Its face, and 45 deg behind it the shoulders.
+            for corner in (jaws.nose / 2 * across, jaws.width / 2 * across + (jaws.width - jaws.nose) / 2 * along):
+                x, y = face + corner
+                assert not (0 < x < mold.size[0] and 0 < y < mold.size[1])
     assert groove.stock_length >= groove.free_length + 2 * mold.spec.clamps.grip - 1e-12
     assert groove.stock_length - sum(groove.trim) == pytest.approx(straight + groove.bend_length, rel=1e-12)
     assert min(groove.trim) >= -1e-15

@@ -26,7 +26,7 @@ def test_plan_saves_all_files(run: Run, tmp_path: Path) -> None:
     out = answer(run("mold", ETR, "--mold", MOLD, "--out", str(tmp_path), "--json"))
     names = {Path(path).name for path in out["files"]}
     assert names == {path.name for path in tmp_path.iterdir()}
-    assert names == {"mold.json", "setup.pdf", "mold.png", "lid_5.nc"} | {
+    assert names == {"mold.json", "setup.pdf", "base_holes.pdf", "lid_holes.pdf", "mold.png", "lid_5.nc"} | {
         f"{part}{kind}"
         for part in ("base", "lid")
         for kind in (".dxf", ".svg", ".stl", "_1.nc", "_2.nc", "_3.nc", "_4.nc")

@@ -17,7 +17,7 @@ from tubeopt.shaping.mold.files import plate_part, write_mold, write_solid
 from tubeopt.shaping.mold.gcode import hazards, programs, read_gcode, stages_of
 from tubeopt.shaping.mold.layout import Hole
 from tubeopt.shaping.mold.spec import HingeSpec, MillingSpec, PlateSpec, VentSpec, WorkshopSpec
-from tubeopt.show.plots.sheets import mold_steps, tool_rows
+from tubeopt.show.plots.sheets import groove_rows, hole_rows, mold_steps, plot_hole_sheet, tool_rows
 
 from .gcode_machine import Block, mill
 
@@ -78,6 +78,46 @@ def test_all_holes_are_there_and_go_through(dialect: str) -> None:
                 deep = [way[-1] for way in mill(text).cuts if way[:, 2].min() < -thickness]
                 found |= {(round(x, 4), round(y, 4), stage.diameter) for x, y, _ in deep}
         assert found == wanted
+
+
+@pytest.mark.parametrize("hinged", [False, True])
+def test_the_table_of_holes_says_what_the_programs_drill(hinged: bool, tmp_path: Path) -> None:
+    mold = small()
+    if hinged:
+        mold = plan_mold(SMALL, replace(mold.spec, plate=PlateSpec(), hinge=HingeSpec(3.2e-3)))
+    for part in PARTS:
+        drilled: dict[tuple[float, float, float], float] = {}
+        for stage, text in zip(stages_of(mold, part), texts(mold, part), strict=True):
+            for way in mill(text).cuts if stage.tool.startswith("drill") else ():
+                x, y, z = way[way[:, 2].argmin()].round(3).tolist()
+                place = x, y, round(1e3 * stage.diameter, 3)
+                drilled[place] = min(z, drilled.get(place, 0.0))
+        rows = hole_rows(mold, part)
+        assert [row[0] for row in rows] == [str(k) for k in range(1, len(rows) + 1)]
+        told = {}
+        for _, x, y, diameter, fit, z, tool in rows:
+            drill = float(re.findall(r"drill ([\d.]+)", tool)[0])
+            told[float(x), float(y), drill] = float(z)
+            if tool.startswith("dowel"):
+                assert f"ream {diameter}" in tool
+                assert fit == {"base": "H7", "lid": "F7"}[part]
+            else:
+                assert (drill, fit[0]) == (float(diameter), "+")
+        for place, z in told.items():
+            (depth,) = [z for other, z in drilled.items() if np.allclose(other, place, rtol=0, atol=0.0051)]
+            assert z == pytest.approx(depth, abs=0.051)
+        # Besides them pilots of wider holes.
+        assert len(drilled) == len(told) + sum(drill > 8 for _, _, drill in told)
+        plot_hole_sheet(mold, tmp_path / f"{part}.pdf", part=part)
+    (heading, first, arc, last) = groove_rows(mold)
+    groove = mold.grooves[0]
+    assert f"{1e3 * groove.width:.3f} wide" in heading[0]
+    numbers = [float(x) for x in re.findall(r"-?[\d.]+", arc[1])]
+    x1, y1, radius, x, y = numbers
+    x0, y0 = (float(x) for x in re.findall(r"to \(([-\d.]+), ([-\d.]+)\)", first[1])[0])
+    assert np.hypot(x1 - x, y1 - y) == pytest.approx(radius, abs=0.01) == np.hypot(x0 - x, y0 - y)
+    assert radius == pytest.approx(1e3 * groove.radius, abs=1e-3)
+    assert last[1].startswith(f"line ({x1:.2f}, {y1:.2f}) to ({1e3 * mold.size[0]:.2f}, ")
 
 
 @pytest.mark.parametrize("part", PARTS)

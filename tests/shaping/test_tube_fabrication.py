@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Tube
+from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Thermocouple, Tube
 from tubeopt.shaping import Springback, tube_fabrication
+from tubeopt.shaping.heating.robust import SHORTEST_BARE, longest_bare_tube
 from tubeopt.shaping.heating.thermal import (
     FINE,
     GrooveAir,
@@ -174,6 +176,34 @@ def test_a_tube_that_draws_too_much_gets_longer_leads() -> None:
     least = tube.curved_length + 2 * (rig.mold.lead + rig.clamps.clearance)
     assert drawn(least) > 1.05 * rig.circuit.peak_limit
     assert made.heating.peak_current < rig.circuit.peak_limit
+
+
+def test_a_thin_wall_gets_clamps_close_to_the_plate() -> None:
+    """Per length a mold takes up to three times the planned power, and the bare tube beside it gets all of it.
+
+    With both ends cold, it is hottest in its middle: P l^2 / (8 k A) above them, less what air takes. A wall of a third
+    of the section bears a shorter bare tube; thick ones keep the given one.
+    """
+    rig = thesis_rig()
+    thin = replace(TUBE, outer_diameter=1.0e-3, inner_diameter=0.9e-3)
+    made = plan_tube(thin, rig, heating=SHORT)
+    assert made.agreed
+    bare = made.rig.clamps.clearance
+    assert SHORTEST_BARE <= bare < 0.7 * rig.clamps.clearance
+    assert f"clamps {1e3 * bare:.1f} mm from the plate in place of 5 mm" in made.remarks[0]
+    assert max(made.groove.gaps) == pytest.approx(bare)
+    # As long as found it keeps the limit, and half as long again it does not.
+    assert longest_bare_tube(made.heating, Thermocouple()) == math.inf
+    clamps = replace(made.rig.clamps, clearance=1.5 * bare)
+    longer = replace(made.heating, rig=replace(made.rig, clamps=clamps))
+    assert longest_bare_tube(longer, Thermocouple()) == pytest.approx(bare, rel=0.15)
+    thick = plan_tube(TUBE, rig, heating=SHORT)
+    assert thick.rig.clamps.clearance == pytest.approx(rig.clamps.clearance)
+    # Wide clamps do not come that close to a plate that the tube leaves at an angle.
+    bent = replace(thin, curved_length=0.2, curvature=10.0)
+    wide = plan_tube(bent, rig, MoldSpec(clamps=ClampSpec(nose=15e-3)), SHORT)
+    assert "make the face of the clamps narrower (nose_mm)" in wide.disagreement
+    assert not wide.agreed
 
 
 def test_no_current_heats_what_is_no_metal() -> None:

@@ -19,7 +19,7 @@ from ..robots.robot import Robot
 from ..robots.tubes import Tube
 from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
 from ..shaping.heating.calibration import BIAS, FACTORS, HeatingLog, RigFit, calibrate
-from ..shaping.heating.controller import Feedback, wilson
+from ..shaping.heating.controller import ENOUGH, Feedback, wilson
 from ..shaping.heating.cutout import stop_current
 from ..shaping.heating.oven import Oven, OvenPlan, plan_oven
 from ..shaping.heating.plan import HeatingPlan, slot_milliseconds
@@ -39,6 +39,9 @@ from .mold_study import MoldPath
 from .robot_keys import RobotPath, TubeNumber
 from .study_file import Arguments, Options, Timed, question
 from .workshop_file import CameraRecording, load_camera, load_heating_log, load_oven, load_rig
+
+OPEN_LOOP = 0.5
+"""Required success probability without a sensor."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +63,14 @@ class Success:
         return wilson(round(self.probability * self.samples), self.samples)
 
     @property
+    def required(self) -> float:
+        """Smallest probability of a rig that is said to be in order."""
+        return ENOUGH if self.sensor else OPEN_LOOP
+
+    @property
     def likely(self) -> bool:
-        """True if the probability is at least one half."""
-        return self.probability >= 0.5
+        """True unless the probability is below the required one: with a sensor, beyond its 95 % interval."""
+        return (self.interval[1] if self.sensor else self.probability) >= self.required
 
 
 @dataclass(frozen=True, eq=False)

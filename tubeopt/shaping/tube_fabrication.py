@@ -21,6 +21,8 @@ from .heating.counts import full_current
 from .heating.plan import HeatingPlan, ageing_remarks
 from .heating.planning import plan_heating
 from .heating.rig import Rig
+from .heating.robust import longest_bare_tube
+from .heating.sensors import Thermocouple
 from .heating.spec import HeatingSpec
 from .heating.thermal import gap_transfer, groove_gap, square_groove_gap, uniform_gap_of, vent_profile
 from .materials import recipe_for
@@ -30,7 +32,7 @@ from .mold.mold import Groove, Mold, plan_mold
 from .mold.spec import MoldSpec
 
 # The corrections of the leads shrink from mold to mold.
-MAX_ROUNDS = 5
+MAX_ROUNDS = 6
 """Largest number of molds."""
 
 # A tenth of the resolution of a mill.
@@ -112,12 +114,13 @@ def plan_tube(
     heating = heating_for(spec.heat) if heating is None else heating
     heated, remarks = _with_thermal_data(tube)
     remarks += _gap_remarks(heated, rig)
-    drawn_rig, drawn = rig, None
+    given, drawn_rig, drawn = rig, rig, None
     feedback: HeatingFeedback | None = None
     plan: HeatingPlan | None = None
+    longest: float | None = None
     for round_ in range(1, MAX_ROUNDS + 1):
         try:
-            next_spec = mold_spec_for(drawn_rig, heated, spec, heating, feedback, rig)
+            next_spec = mold_spec_for(drawn_rig, heated, spec, heating, feedback, given)
             next_mold = plan_mold(heated, next_spec, numbers=[number])
         except InputError as error:
             if drawn is None or plan is None:
@@ -129,8 +132,13 @@ def plan_tube(
         if plan is None or not _same_rig(previous, drawn_rig):
             # The tube as its groove holds it: its curved part is as long as the bend.
             plan = plan_heating(drawn.grooves[0].held, drawn_rig, heating)
+            if longest is None and rig.mold.material.electrically_insulating:
+                longest = longest_bare_tube(plan, Thermocouple())
+                given, shortened = _with_short_bare_tube(given, longest)
+                remarks += shortened
         elif _consistent(drawn, plan):
-            return TubeFabrication(tube, drawn, drawn_rig, plan, round_, "", (*remarks, *ageing_remarks(plan)))
+            bare = _bare_disagreement(drawn_rig, longest)
+            return TubeFabrication(tube, drawn, drawn_rig, plan, round_, bare, (*remarks, *ageing_remarks(plan)))
         feedback = _heating_feedback(drawn.grooves[0], plan, heating)
     assert drawn is not None
     assert plan is not None
@@ -227,6 +235,30 @@ def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
     cell = np.clip((along / (2 * half) * len(profile)).astype(int), 0, len(profile) - 1)
     bare = np.where(along >= 0, 0.5 * realised * profile[cell], 0.0)
     return tuple(np.minimum(bare, 0.5).tolist())
+
+
+def _with_short_bare_tube(rig: Rig, longest: float) -> tuple[Rig, tuple[str, ...]]:
+    """Rig whose clamps leave at most the `longest` bare tube, m, and a remark if that changes it."""
+    given = rig.clamps.clearance
+    if longest >= given or longest == 0.0:
+        return rig, ()
+    remark = (
+        f"clamps {longest * 1e3:.1f} mm from the plate in place of {given * 1e3:g} mm (clearance_mm): the bare tube "
+        "between them gets hotter than the limit where the board of the mold takes most heat"
+    )
+    return replace(rig, clamps=replace(rig.clamps, clearance=longest)), (remark,)
+
+
+def _bare_disagreement(rig: Rig, longest: float | None) -> str:
+    """Message if the drawn bare tube is longer than the `longest` one, m; otherwise ""."""
+    bare = rig.clamps.clearance
+    if longest is None or bare <= longest + SAME_LENGTH:
+        return ""
+    most = f"at most {longest * 1e3:.1f} mm keep" if longest else "not even 1 mm keeps"
+    return (
+        f"{bare * 1e3:.1f} mm of bare tube lie between clamp and plate, and {most} the limit on boards that take most "
+        "heat. Make the face of the clamps narrower (nose_mm), or give the conductivity of your board"
+    )
 
 
 def _with_thermal_data(tube: Tube) -> tuple[Tube, tuple[str, ...]]:

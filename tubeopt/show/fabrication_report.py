@@ -26,7 +26,7 @@ from ..shaping.mold.gcode import Program, clamp_distance, programs_of
 from ..shaping.mold.layout import Hole
 from ..shaping.mold.mandrel import Block, Cylinder, Mandrel, predict_wound_tube, write_mandrel
 from ..shaping.mold.measured_tube import MeasuredTube, RadiusErrors
-from ..shaping.mold.mold import Clamp, Groove, RobotMold, predict_tube
+from ..shaping.mold.mold import PARTS, Clamp, Groove, RobotMold, predict_tube
 from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.springback import Calibration, Springback
 from .heat_report import HEATING, SUCCESS, HeatingReport, hold_duties, missed, success_text, unlikely
@@ -148,12 +148,16 @@ class MoldReport(Report[RobotMold]):
         return Group(Text(self.title(), style="italic"), grid(("tube", *numbers), cells, key=True), *lines)
 
     def save(self, directory: Path) -> list[Path]:
-        """Write mold.json, base and lid as DXF, SVG, STL and G-code, and the set-up sheet setup.pdf."""
-        from .plots.sheets import plot_setup_sheet
+        """Write mold.json, base and lid as DXF, SVG, STL and G-code, setup.pdf, base_holes.pdf and lid_holes.pdf."""
+        from .plots.sheets import plot_hole_sheet, plot_setup_sheet
 
-        paths = [self.save_record(directory), *write_mold(self.answer.mold, directory)]
-        plot_setup_sheet(self.answer.mold, directory / "setup.pdf", title=self.answer.name)
-        return [*paths, directory / "setup.pdf"]
+        mold, paths = self.answer.mold, [self.save_record(directory), *write_mold(self.answer.mold, directory)]
+        paths.append(directory / "setup.pdf")
+        plot_setup_sheet(mold, paths[-1], title=self.answer.name)
+        for part in PARTS:
+            paths.append(directory / f"{part}_holes.pdf")
+            plot_hole_sheet(mold, paths[-1], part=part, title=self.answer.name)
+        return paths
 
     def pictures(self) -> dict[str, Drawing]:
         return {"mold": drawing("mold.plot_mold", self.answer.mold, title=self.answer.name)}

@@ -195,7 +195,7 @@ def unlikely(success: Success | None) -> str:
         cure += "calibrate the rig"
     else:
         cure = "close the loop (--sensor thermocouple, tubeopt heat firmware), or calibrate the rig"
-    return f"{success_text(success)}; at least one half must: {cure}"
+    return f"{success_text(success)}; at least {100 * success.required:.0f} % must: {cure}"
 
 
 BAND = described(
@@ -448,9 +448,10 @@ class FeedbackReport(Report[ClosedLoopHeating]):
         answer, feedback = self.answer, self.answer.feedback
         if not answer.plan.feasible:
             raise SolveError(missed(answer.plan))
-        # A heating that fails more often than not is no success, though the nominal rig keeps the window.
-        if feedback.probability < 0.5:
-            raise SolveError(f"{100 * feedback.probability:.1f} % of {feedback.samples} random rigs stay in the window")
+        # A heating that often fails is no success, though the nominal rig keeps the window.
+        success = Success(feedback.probability, feedback.samples, feedback.sensor.name, feedback.open_loop)
+        if fault := unlikely(success):
+            raise SolveError("; ".join((*feedback.problems[:1], fault)))
 
 
 OVEN = described(

@@ -41,6 +41,9 @@ HALF = 0.5 + 2**-8
 MOST_EXCESS = 10.0
 """Excess of the tube over the limit, K, that must stop the firmware whatever the bias of its sensor."""
 
+ENOUGH = 0.95
+"""Fraction of uncertain rigs that must keep the window with a sensor."""
+
 MOST_COUNT = 249
 """Largest count of a controlled heating: in every period a pause remains, in which the cut-out is retriggered."""
 
@@ -285,6 +288,8 @@ class Feedback(Displayed):
     """Smallest and largest allowed temperature, degC."""
     limit: float
     """Largest allowed temperature of any point, degC."""
+    bare: tuple[float, float] = (0.0, math.inf)
+    """Length of bare tube beside a clamp, and the longest that keeps the limit where molds draw most heat, m."""
 
     @property
     def samples(self) -> int:
@@ -318,18 +323,29 @@ class Feedback(Displayed):
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """Message, with cures, if tubes of some rigs get hotter than the board's stop allows; otherwise empty.
+        """Messages, with cures, if the bare tube is too long for some molds, or rigs miss without a report.
 
         No thermometer sees the bare tube beside the clamps.
         """
+        problems = []
         hot = self.top > self.limit + MOST_EXCESS
-        if not hot.any():
-            return ()
-        return (
-            f"on {100 * hot.mean():.0f} % of the uncertain rigs the bare tube beside the clamps gets hotter than "
-            f"{self.limit + MOST_EXCESS:.0f} degC, up to {self.top.max():.0f}: no thermometer sees it. Make it "
-            "shorter (clearance_mm of the clamps), or give the conductivity of the mold's board",
-        )
+        length, longest = (1e3 * value for value in self.bare)
+        # The bound on the count keeps a bare tube that is a little too long below the limit on nearly all rigs.
+        if hot.any() or (length > longest and self.probability < ENOUGH):
+            cure = "Give the conductivity of the mold's board"
+            if 0 < longest < length:
+                cure = f"Make it at most {longest:.1f} mm long (clearance_mm of the clamps), or g{cure[1:]}"
+            problems.append(
+                f"{length:.1f} mm of bare tube beside each clamp are too long for molds that take much heat. It gets "
+                f"hotter than {self.limit + MOST_EXCESS:.0f} degC on {100 * hot.mean():.0f} % of the uncertain rigs, "
+                f"up to {self.top.max():.0f}. No thermometer sees it. {cure}"
+            )
+        if self.silent:
+            problems.append(
+                f"{100 * self.silent:.1f} % of the uncertain rigs miss window or limit, and the board does not report "
+                "it: measure the radius and Af of every tube, or calibrate the rig"
+            )
+        return tuple(problems)
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

@@ -220,6 +220,12 @@ BELOW_REFERENCE = 4.0
 BARE_EXCESS, BARE_STEPS = 5.0, 5
 """Excess of the bare tube over the limit on these rigs, K: half of `MOST_EXCESS`; and bisections of that count."""
 
+SHORTEST_BARE, BARE_STEP = 1e-3, 0.1e-3
+"""Shortest length of bare tube that clamps leave, and the step of longer ones, m."""
+
+USUAL_GAIN = 2
+"""Index in `KELVIN_GAINS` of the gains before any are chosen."""
+
 RIGS = 48
 """Number of random rigs for the choice of gains and set-point; other rigs test them."""
 
@@ -282,6 +288,9 @@ def design_feedback(
     top = history.top.max(0)[1:]
     low, high = plan.spec.window_degC
     names = (*uncertainty.unknown, "sensor")
+    longest = math.inf
+    if math.isfinite(law.bare_count) or top.max() > plan.spec.limit + MOST_EXCESS:
+        longest = longest_bare_tube(plan, sensor, uncertainty, law=law, seed=seed)
     return Feedback(
         sensor=sensor,
         law=law,
@@ -295,6 +304,7 @@ def design_feedback(
         contributions=_contributions(names, np.column_stack([rigs.draws, rigs.bias[1:]]), lowest, highest),
         window=plan.spec.window_degC,
         limit=plan.spec.limit,
+        bare=(plan.rig.clamps.clearance, longest),
     )
 
 
@@ -370,11 +380,7 @@ def _bare_count(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, uncertainty:
 
     Infinite if it keeps it at any correction.
     """
-    draws = uncertainty.draws(DRAWING_RIGS, seed)
-    for name, end in DRAWING.items():
-        if name in uncertainty.unknown:
-            draws[:, uncertainty.unknown.index(name)] = end
-    model = uncertainty.model(plan.tube, plan.rig, draws)
+    model = uncertainty.model(plan.tube, plan.rig, _drawing(uncertainty, seed))
     limit = plan.spec.limit + BARE_EXCESS
 
     def hottest(count: float) -> float:
@@ -388,6 +394,59 @@ def _bare_count(plan: HeatingPlan, law: HeatingLaw, sensor: Sensor, uncertainty:
     for _ in range(BARE_STEPS):
         middle = math.sqrt(low * high)
         low, high = (middle, high) if hottest(middle) <= limit else (low, middle)
+    return low
+
+
+def _drawing(uncertainty: Uncertainty, seed: int) -> Array:
+    """(S, number of `Uncertainty.unknown`) samples of rigs whose molds draw most heat."""
+    draws = uncertainty.draws(DRAWING_RIGS, seed)
+    for name, end in DRAWING.items():
+        if name in uncertainty.unknown:
+            draws[:, uncertainty.unknown.index(name)] = end
+    return draws
+
+
+@small
+def longest_bare_tube(
+    plan: HeatingPlan,
+    sensor: Sensor,
+    uncertainty: Uncertainty | None = None,
+    *,
+    law: HeatingLaw | None = None,
+    seed: int = 0,
+) -> float:
+    """Longest bare tube (m) beside a clamp that keeps the limit on rigs whose molds draw most heat.
+
+    A controller raises the power until the curved part has its temperature. Beside the clamps the same power meets no
+    mold, and heats a long bare tube more. Infinite if the bare tube of the plan's rig keeps the limit; 0 if none of at
+    least `SHORTEST_BARE` does.
+
+    Args:
+        uncertainty: of rig and tube; by default `Uncertainty.of_a_workshop()`.
+        law: control law of the plan; by default one with usual gains.
+    """
+    uncertainty = Uncertainty.of_a_workshop() if uncertainty is None else uncertainty
+    if law is None:
+        law = nominal_law(plan, sensor)
+        plant = response(thermal_model(plan.tube, plan.rig, ENSEMBLE), sensor, law)
+        proportional, integral = regulator(plant, law.slot, KELVIN_GAINS[USUAL_GAIN])
+        law = replace(law, proportional=proportional, integral=integral, share=WIDE)
+    law, draws = replace(law, bare_count=math.inf), _drawing(uncertainty, seed)
+
+    def keeps(length: float) -> bool:
+        rig = replace(plan.rig, clamps=replace(plan.rig.clamps, clearance=length))
+        history = run_loop(uncertainty.model(plan.tube, rig, draws), law, sensor, bias=-sensor.bias, seed=seed)
+        return float(history.top.max()) <= plan.spec.limit
+
+    if keeps(plan.rig.clamps.clearance):
+        return math.inf
+    # Bisection in whole steps: the hottest point rises with the length.
+    low, high = SHORTEST_BARE, plan.rig.clamps.clearance
+    if low >= high or not keeps(low):
+        return 0.0
+    while high - low > 1.5 * BARE_STEP:
+        middle = BARE_STEP * round(0.5 * (low + high) / BARE_STEP)
+        low, high = (middle, high) if keeps(middle) else (low, middle)
     return low
 
 

@@ -96,7 +96,7 @@ def _jaws(clamp: Clamp, mold: Mold) -> list[Arc]:
     spec = mold.spec.clamps
     lines = _around(clamp_corners(clamp, spec))
     if clamp.slides:
-        _, right, left, _ = clamp_corners(clamp, spec, clamp.travel)
+        right, left = clamp_corners(clamp, spec, clamp.travel)[2:4]
         lines.append(Arc.between(right, left))
     return lines
 

@@ -204,13 +204,18 @@ def check_duration(file: str, time: float) -> None:
         )
 
 
+def placed_holes(mold: Mold, part: str) -> list[Hole]:
+    """Holes of a plate as it lies on the machine: a lid with slots has its lower face up."""
+    if part == "base" or not mold.slots:
+        return list(mold.base_holes if part == "base" else mold.lid_holes)
+    return [replace(hole, centre=(mold.size[0] - hole.centre[0], hole.centre[1])) for hole in mold.lid_holes]
+
+
 def stages_of(mold: Mold, part: str) -> list[Stage]:
     """Machining stages of a plate, in order: grooves, a stage for each drill, the outline."""
     spec, shop, base = mold.spec, mold.spec.workshop, part == "base"
     thickness = spec.plate.thickness if base else spec.plate.lid_thickness
-    turned = [replace(hole, centre=(mold.size[0] - hole.centre[0], hole.centre[1])) for hole in mold.lid_holes]
-    # A lid with slots lies with its lower face up.
-    holes = mold.base_holes if base else turned if mold.slots else mold.lid_holes
+    holes = placed_holes(mold, part)
     stages = groove_stages(mold) if base else slot_stages(mold)
     drills = sorted({drill_diameter(hole) for hole in holes})
     for diameter, wider in zip(drills, [*drills[1:], 0.0], strict=True):

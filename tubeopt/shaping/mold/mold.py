@@ -70,12 +70,18 @@ class Clamp:
 
 
 def clamp_corners(clamp: Clamp, spec: ClampSpec, travel: float = 0.0) -> Array:
-    """(4, 2) corners (m) of a clamp: two at its face, two at its far side, moved outwards by `travel` (m)."""
+    """(6, 2) corners (m) of a clamp: its face, one shoulder, its far side moved outwards by `travel` (m), the other."""
     along = np.asarray(clamp.direction)
-    across = np.array([-along[1], along[0]]) * spec.width / 2
-    near = np.asarray(clamp.face)
-    far = near + along * (spec.grip + travel)
-    return np.array([near - across, far - across, far + across, near + across])
+    across = np.array([-along[1], along[0]])
+    depth = shoulder(spec)
+    right = [(0.0, spec.nose), (depth, spec.width), (spec.grip + travel, spec.width)]
+    sides = [(x, -0.5 * width) for x, width in right] + [(x, 0.5 * width) for x, width in right[::-1]]
+    return np.array([np.asarray(clamp.face) + x * along + y * across for x, y in sides])
+
+
+def shoulder(spec: ClampSpec) -> float:
+    """Distance (m) behind a clamp's face from which on it has its full width."""
+    return min(0.5 * (spec.width - spec.nose), spec.grip)
 
 
 @dataclass(frozen=True)
@@ -346,28 +352,29 @@ def _groove(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Gro
     """Groove on the plate, with clamps, thermal growth and vents."""
     mouths = curve.lead_in.start, curve.lead_out.end
     outward = -curve.lead_in.tangent(np.zeros(1))[0], curve.lead_out.tangent(np.zeros(1))[0]
-    gaps = []
+    gaps, clamps = [], spec.clamps
     for mouth, direction in zip(mouths, outward, strict=True):
         # The gap is larger where the corner of a slanted clamp would meet the plate.
         to_edge = [min(abs(x), abs(extent - x)) for x, extent in zip(mouth, size, strict=True)]
         cosine = abs(float(direction[to_edge.index(min(to_edge))]))
         slant = math.sqrt(max(1 - cosine**2, 0.0)) / cosine
-        gaps.append(max(spec.clamps.gap, spec.clamps.width / 2 * slant + CLAMP_CLEARANCE))
+        reach = max(clamps.nose / 2 * slant, clamps.width / 2 * slant - shoulder(clamps))
+        gaps.append(max(clamps.gap, reach + CLAMP_CLEARANCE))
     vents = place_vents(curve, blank.width, spec.vents)
     growth = spec.growth
     if growth is None:
         growth = thermal_growth(blank.tube, spec.heat, blank.cold.decay_length, curve.length + sum(gaps))
-    travel = growth * spec.clamps.travel_factor + spec.clamps.travel_extra
+    travel = growth * clamps.travel_factor + clamps.travel_extra
     travel = math.ceil(travel / TRAVEL_STEP - 1e-9) * TRAVEL_STEP
-    clamps = []
+    placed = []
     for end, mouth, direction, gap in zip(ENDS, mouths, outward, gaps, strict=True):
         face = np.asarray(mouth) + gap * direction
-        clamps.append(
+        placed.append(
             Clamp(
                 end=end,
                 face=(float(face[0]), float(face[1])),
                 direction=(float(direction[0]), float(direction[1])),
-                travel=travel if end == spec.clamps.sliding_end else 0.0,
+                travel=travel if end == clamps.sliding_end else 0.0,
             )
         )
     return Groove(
@@ -375,8 +382,8 @@ def _groove(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Gro
         centreline=curve,
         depth=groove_depth(blank.tube, spec),
         growth=growth,
-        clamps=(clamps[0], clamps[1]),
-        grip=spec.clamps.grip,
+        clamps=(placed[0], placed[1]),
+        grip=clamps.grip,
         vents=vents,
         slot=place_slot(curve, vents, spec),
     )
@@ -395,9 +402,10 @@ def _clamp_remarks(grooves: Sequence[Groove], spec: ClampSpec) -> list[str]:
 
 
 def _overlap(first: Array, second: Array) -> bool:
-    """True if two rectangles (4, 2) overlap: no side of either separates their corners (separating axis theorem)."""
+    """True if two convex outlines (N, 2) overlap: no side of either separates them (separating axis theorem)."""
     for corners in (first, second):
-        for axis in (corners[1] - corners[0], corners[3] - corners[0]):
+        for side in np.roll(corners, -1, axis=0) - corners:
+            axis = np.array([-side[1], side[0]])
             a, b = first @ axis, second @ axis
             if a.max() <= b.min() or b.max() <= a.min():
                 return False

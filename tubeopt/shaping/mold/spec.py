@@ -193,6 +193,13 @@ class ClampSpec:
     ] = 5e-3
     grip: Annotated[float, unit("mm"), LENGTH, "length of tube in a clamp"] = 12e-3
     width: Annotated[float, unit("mm"), LENGTH, "width of a clamp, across the tube"] = 15e-3
+    nose: Annotated[
+        float,
+        unit("mm"),
+        LENGTH,
+        "width of a clamp's face towards the plate, behind which it widens at 45 deg; a narrow one comes close to a "
+        "plate that the tube leaves at an angle",
+    ] = 4e-3
     least_lead: Annotated[float, unit("mm"), LENGTH, "smallest straight groove on each side of the bend"] = 5e-3
     sliding_end: Annotated[str, OneOf(ENDS), "end with the sliding clamp, for thermal expansion of the tube"] = "distal"
     travel_factor: Annotated[float, POSITIVE, "travel of the sliding clamp per thermal expansion of the tube"] = 1.5
@@ -200,6 +207,10 @@ class ClampSpec:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.nose > self.width:
+            raise InputError(
+                f"nose is {self.nose * 1e3:g} mm; it must be at most the width of the clamp, {self.width * 1e3:g} mm"
+            )
         if self.travel_factor < 1:
             raise InputError(f"travel_factor is {self.travel_factor:g}; it must be at least 1, or the tube buckles")
 

@@ -61,15 +61,17 @@ def mold_heading(mold: Mold) -> str:
     )
 
 
-def draw_mold(axes: Axes, mold: Mold) -> None:
-    """Draw the base plate and the clamps, in mm at one scale."""
+def draw_mold(axes: Axes, mold: Mold, *, clamps: bool = True) -> None:
+    """Draw the base plate with clamps and vents of the lid, or the plate alone, in mm at one scale."""
     from matplotlib.patches import Rectangle
 
     drawing = draw_plate(mold, "base")
     plate = Rectangle((0, 0), *drawing.size, fc=PLATE, ec=INK, lw=0.9, zorder=0)
     axes.add_patch(plate)
     for groove in mold.grooves:
-        _draw_groove(axes, groove, mold, plate)
+        _draw_groove(axes, groove, plate)
+        if clamps:
+            _draw_clamps_and_vents(axes, groove, mold)
     for hole in mold.base_holes:
         face = "white" if hole.purpose in ("bolt", "latch") else FAINT
         centre = np.multiply(hole.centre, TO_MM)
@@ -78,7 +80,7 @@ def draw_mold(axes: Axes, mold: Mold) -> None:
         for (_, upper), (lower, _) in itertools.pairwise(halves(mold)):
             for edge in (upper, lower):
                 axes.plot([0, drawing.size[0]], [edge * TO_MM] * 2, color=INK, lw=0.6, ls=(0, (3, 2)), zorder=2)
-    low, high = extent(mold)
+    low, high = extent(mold) if clamps else (np.zeros(2), np.array(drawing.size))
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
 
 
@@ -99,7 +101,7 @@ def draw_lid(axes: Axes, mold: Mold) -> None:
     axes.set(xlim=(0, width), ylim=(0, height), aspect="equal")
 
 
-def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> None:
+def _draw_groove(axes: Axes, groove: Groove, plate: Rectangle) -> None:
     from matplotlib.patches import Polygon
 
     curve = groove.centreline
@@ -111,12 +113,18 @@ def _draw_groove(axes: Axes, groove: Groove, mold: Mold, plate: Rectangle) -> No
     middle = _line(curve.pieces)
     colour = tube_colour(groove.number - 1)
     axes.plot(*middle.T, color=colour, lw=0.8, ls=(0, (8, 2, 1.5, 2)), zorder=2)
+
+
+def _draw_clamps_and_vents(axes: Axes, groove: Groove, mold: Mold) -> None:
+    from matplotlib.patches import Polygon
+
+    curve, colour = groove.centreline, tube_colour(groove.number - 1)
     for vent in groove.vents:
         centre = np.multiply(vent.centre, TO_MM)
         disk(axes, centre, vent.diameter / 2 * TO_MM, fc=VENT, ec=colour, lw=0.5, zorder=3)
     for clamp in groove.clamps:
         along, corners = np.asarray(clamp.direction), clamp_corners(clamp, mold.spec.clamps) * TO_MM
-        far = corners[1:3].mean(axis=0)
+        far = corners[2:4].mean(axis=0)
         axes.add_patch(Polygon(corners, fc=CLAMP, ec=INK, lw=0.6))
         mouth = curve.lead_in.start if clamp.end == "proximal" else curve.lead_out.end
         axes.plot(*np.array([np.asarray(mouth) * TO_MM, far]).T, color=colour, lw=1.2, zorder=3)

@@ -18,16 +18,20 @@ from ...shaping.materials import MoldMaterial
 from ...shaping.mold.checks import THROUGH
 from ...shaping.mold.gcode import (
     PER_MINUTE,
+    PILOTED,
     POINT,
     REAMED,
     TOLERANCE,
     Stage,
     clamp_distance,
+    drill_depth,
     drill_diameter,
+    placed_holes,
     programs,
     stages_of,
     stock_size,
 )
+from ...shaping.mold.layout import Hole
 from ...shaping.mold.mandrel import SHANK, Cylinder, Mandrel, mandrel_cutter, mandrel_time
 from ...shaping.mold.mold import PARTS, Groove, Mold, clamp_corners
 from ...shaping.tube_fabrication import TubeFabrication
@@ -78,7 +82,11 @@ def _new_sheet(heading: str) -> Figure:
 
 def _write(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
     """Write text with its upper left corner at x, y, mm."""
-    figure.text(x / A4[0], y / A4[1], text, fontsize=size, fontweight=weight, va="top", ha="left", linespacing=1.35)
+    # Words of a row have one baseline, 0.8 of the size below their upper edge; a point is 0.353 mm.
+    several = "\n" in text
+    at = y if several else y - 0.353 * 0.8 * size
+    va = "top" if several else "baseline"
+    figure.text(x / A4[0], at / A4[1], text, fontsize=size, fontweight=weight, va=va, ha="left", linespacing=1.35)
 
 
 def _write_table(figure: Figure, columns: Sequence[float], top: float, *values: dict[str, str]) -> None:
@@ -188,6 +196,138 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     _write_tools(figure, lowest, tools)
     _write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
     return figure
+
+
+HOLE_COLUMNS = 0.0, 7.0, 18.0, 29.0, 38.0, 46.0, 56.0
+"""Columns of a table of holes, mm."""
+
+TABLE_WIDTH = 91.0
+"""Distance of two tables of holes, mm."""
+
+HOLE_SIZES = 7.0, 6.0, 5.0, 4.0, 3.0
+"""Sizes of the letters of tables of holes, points: the largest with which they fit the page."""
+
+
+@picture
+def plot_hole_sheet(mold: Mold, *, part: str, title: str = "") -> Figure:
+    """Drawing of a plate, "base" or "lid", as it lies on the machine, with its holes and grooves in numbers."""
+    of_robot = f"{title}, " if title else ""
+    figure = _new_sheet(f"Holes{' and grooves' if part == 'base' else ''}: {of_robot}{part}")
+    zero = "Zero of X and Y in corner 0, Z = 0 on the upper face as it lies, mm"
+    if part == "lid" and mold.slots:
+        zero += "; lower face up, turned over about its left edge: corner 0 is the lower right one of the closed mold"
+    _write(figure, EDGE, A4[1] - EDGE - 6, mold_heading(mold))
+    plate, rows = np.array(mold.size) * TO_MM, hole_rows(mold, part)
+    available = np.array([A4[0] - 2 * EDGE - 8, 0.36 * A4[1]])
+    scale = next((scale for scale in SCALES if (plate <= available * scale).all()), SCALES[-1])
+    wide, tall = plate / scale
+    bottom = A4[1] - EDGE - 14 - tall
+    axes = figure.add_axes(((EDGE + 4) / A4[0], bottom / A4[1], wide / A4[0], tall / A4[1]))
+    if part == "base":
+        draw_mold(axes, mold, clamps=False)
+    else:
+        draw_lid(axes, mold)
+    axes.set_axis_off()
+    _write(figure, EDGE, bottom + 1.0, "0", size=9, weight="bold")
+    _write(figure, EDGE, A4[1] - EDGE - 9.5, f"{zero}. Drawn 1:{scale:g}, numbers as in the table.")
+    for k, hole in enumerate(ordered_holes(mold, part), start=1):
+        x, y = (np.array(hole.centre) + 0.4 * hole.diameter) * TO_MM
+        axes.text(x, y, str(k), fontsize=5, ha="left", va="bottom")
+    top = bottom - 4
+    grooves = groove_rows(mold) if part == "base" else []
+    notes = hole_notes(mold, part)
+    for size in HOLE_SIZES:
+        step = 0.353 * 1.45 * size
+        length = int((top - EDGE - step * (len(notes) + 1)) / step) - 1
+        if length > 0 and len(rows) + len(grooves) + 2 <= length * 3:
+            break
+    lines = [*rows, *(((), *grooves) if grooves else ())]
+    for k in range(0, len(lines), length):
+        column = EDGE + TABLE_WIDTH * (k // length)
+        for j, row in enumerate([HOLE_HEADING, *lines[k : k + length]]):
+            for x, text in zip(HOLE_COLUMNS, row, strict=False):
+                _write(figure, column + x * size / HOLE_SIZES[0], top - step * j, text, size=size,
+                       weight="normal" if j else "bold")  # fmt: skip
+    for k, note in enumerate(notes):
+        _write(figure, EDGE, EDGE + step * (len(notes) - k), note, size=size)
+    return figure
+
+
+HOLE_HEADING = ("no.", "X", "Y", "diam.", "fit", "Z", "purpose, tool")
+"""Heading of a table of holes: Z at the point of the drill."""
+
+FITS = {"bolt": "+0.2", "vent": "+0.1", "wire": "+0.1", "hinge": "+0.1", "latch": "+0.2"}
+"""Tolerances of diameters above nominal, mm; a dowel has one for each plate."""
+
+DOWEL_FITS = {"base": "H7", "lid": "F7"}
+"""Fits of the holes of dowels: pins stay in the base, and the lid slides."""
+
+
+def ordered_holes(mold: Mold, part: str) -> list[Hole]:
+    """Holes of a plate as it lies on the machine: by drill, then from left to right."""
+    return sorted(placed_holes(mold, part), key=lambda hole: (drill_diameter(hole), hole.purpose, hole.centre))
+
+
+def hole_rows(mold: Mold, part: str) -> list[tuple[str, ...]]:
+    """Rows of the table of holes of a plate, as it lies on the machine, mm."""
+    plate = mold.spec.plate
+    thickness = plate.thickness if part == "base" else plate.lid_thickness
+    rows: list[tuple[str, ...]] = []
+    for k, hole in enumerate(ordered_holes(mold, part), start=1):
+        drill = drill_diameter(hole)
+        tool = f"{hole.purpose}, drill {drill * TO_MM:g}"
+        if hole.purpose == "dowel":
+            tool += f", ream {hole.diameter * TO_MM:g}"
+        if hole.purpose == "hinge":
+            wide = 2 * hole.diameter * TO_MM
+            tool += f", countersink 90° to {wide:g} from the lower face"
+        x, y = (f"{value * TO_MM:.2f}" for value in hole.centre)
+        fit = FITS.get(hole.purpose, DOWEL_FITS[part])
+        rows.append(
+            (
+                str(k),
+                x,
+                y,
+                f"{hole.diameter * TO_MM:g}",
+                fit,
+                f"-{drill_depth(drill, thickness) * TO_MM:.1f}",
+                tool,
+            )
+        )
+    return rows
+
+
+def groove_rows(mold: Mold) -> list[tuple[str, ...]]:
+    """Rows of a table of the centrelines of the grooves: lines and arcs from the proximal end, mm."""
+    rows: list[tuple[str, ...]] = []
+    for groove in mold.grooves:
+        width, depth = (f"{size * TO_MM:.3f}" for size in (groove.width, groove.depth))
+        rows.append((f"groove of tube {groove.number}: {width} wide, {depth} deep, centreline:",))
+        for piece in groove.centreline.pieces:
+            (x0, y0), (x1, y1) = ((x * TO_MM, y * TO_MM) for x, y in (piece.start, piece.end))
+            text = f"line ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
+            if piece.curvature:
+                x, y = (value * TO_MM for value in piece.centre)
+                text = f"arc to ({x1:.2f}, {y1:.2f}), R {piece.radius * TO_MM:.3f}, centre ({x:.2f}, {y:.2f})"
+            rows.append(("", text))
+    return rows
+
+
+def hole_notes(mold: Mold, part: str) -> list[str]:
+    """Notes below a table of holes."""
+    notes = [
+        "All holes go through; Z is at the point of the drill, which runs into the waste board. Positions ± 0.1 mm, "
+        "diameters as in the table; the rest ISO 2768-m."
+    ]
+    if mold.hinge is None:
+        notes.append(
+            "Dowels: the same distance in base and lid within 0.02 mm. On a coarser machine clamp the lid on the base, "
+            "and drill and ream both at once."
+        )
+    pilots = [hole for hole in placed_holes(mold, part) if drill_diameter(hole) > PILOTED]
+    if pilots:
+        notes.append(f"Holes above {PILOTED * TO_MM:g} mm: pilot them by the next smaller drill of the table.")
+    return notes
 
 
 def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
@@ -309,6 +449,7 @@ def mold_steps(mold: Mold) -> list[str]:
         f"{_waste_board(mold):g} mm. Faces flat within "
         f"{spec.groove.clearance * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
         f"cutter's path within {TOLERANCE * TO_MM:g} mm; the rest ISO 2768-m.",
+        "Positions, depths and fits of the holes, and the centrelines of the grooves: base_holes.pdf, lid_holes.pdf.",
         f"Programs of the table in its order (for {spec.workshop.dialect}), zero X and Y at corner 0, Z on the upper "
         f"face with each tool. {cooling_text(spec.material)}. Break the edges of grooves and holes by hand"
         + (f"; cut the tabs ({shop.tab_height * TO_MM:g} mm) and file them flush." if shop.cut_out else "."),
@@ -320,7 +461,8 @@ def mold_steps(mold: Mold) -> list[str]:
         + ("lid down, washers in, nuts on." if mold.hinge else "dowels, lid, bolts."),
         *(
             (
-                f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. The "
+                f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. "
+                f"Their face is {clamps.nose * TO_MM:g} mm wide and widens at 45° to {clamps.width * TO_MM:g} mm. The "
                 f"{fixed} one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, "
                 "or the hot tube buckles.",
                 f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in "
@@ -370,8 +512,8 @@ def _fasteners(mold: Mold) -> str:
         length = max((each for each in PIN_LENGTHS if each <= grip * TO_MM), default=PIN_LENGTHS[0])
         return (
             f"{bolts} bolts {bolt} with nuts, holes {plate.bolt_diameter * TO_MM:g} mm. 2 dowels {pin:g} m6 × "
-            f"{length}: drilled {pin - REAMED * TO_MM:g} mm, reamed {pin:g} H7 in the base (pins stay) and {pin:g} "
-            "F7 in the lid (it slides)"
+            f"{length}: drilled {pin - REAMED * TO_MM:g} mm, reamed {pin:g} {DOWEL_FITS['base']} in the base (pins "
+            f"stay) and {pin:g} {DOWEL_FITS['lid']} in the lid (it slides)"
         )
     screw = mold.spec.hinge.screw_diameter
     leaf = LEAF / TO_MM
