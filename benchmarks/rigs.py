@@ -1,6 +1,7 @@
 """How many uncertain rigs keep the window: by the package's own model, and by a model of its own.
 
-    python -m benchmarks.rigs [--tubes ROBOT:N ...] [--rigs N] [--seed N] [--objectives NAME ...] [--sensors NAME ...]
+    python -m benchmarks.rigs [--tubes ROBOT:N ...] [--volts V] [--rigs N] [--seed N] [--objectives NAME ...]
+                              [--sensors NAME ...] [--json]
 
 Plan, gains and limits are those that the package makes for the rig of a file. They are then used on rigs that differ
 from it in everything that a workshop has not measured, drawn from ranges as wide as the tables of materials and data
@@ -200,10 +201,16 @@ def with_pulses(rig: Rig) -> Rig:
     return replace(rig, circuit=replace(rig.circuit, pwm_frequency=pwm_frequency(Wiring(), rig)))
 
 
-def measure(tube: str, objective: str, sensor: Sensor, rigs: int, seed: int, file: str) -> Kept:
+def loaded(file: str, volts: float | None) -> Rig:
+    """Rig of a file, with a battery of as many V at rest if they are given."""
+    rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
+    factor = 1.0 if volts is None else volts / rig.battery.voltage
+    curve = tuple((charge, factor * volt) for charge, volt in rig.battery.open_circuit)
+    return replace(rig, battery=replace(rig.battery, open_circuit=curve))
+
+
+def measure(tube: str, objective: str, sensor: Sensor, rigs: int, seed: int, rig: Rig) -> Kept:
     """Plan, design and use on drawn rigs."""
-    rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
-    rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
     plan, disagreement = planned(tube, objective, equipped(rig, sensor))
     feedback = design_feedback(plan, sensor, samples=min(rigs, STATED), seed=seed)
     members = list(drawn(plan.tube, plan.rig, rigs, seed))
@@ -296,10 +303,11 @@ def main() -> None:
     parser.add_argument("--tubes", nargs="*", default=[OWN], help=f"{OWN} (of the rig's file), or such as thesis_ctr:1")
     parser.add_argument("--shorts", nargs="*", default=SHIPPED, help="rigs whose switch is shorted")
     parser.add_argument("--rig", default="thesis_calcium_silicate", help="name of a file in configs/rigs")
+    parser.add_argument("--volts", type=float, help="of the battery at rest, in place of those of the file")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     results = [
-        measure(tube, objective, SENSORS[name](), options.rigs, options.seed, options.rig)
+        measure(tube, objective, SENSORS[name](), options.rigs, options.seed, loaded(options.rig, options.volts))
         for tube in options.tubes
         for objective in options.objectives
         for name in options.sensors

@@ -30,7 +30,7 @@ from tubeopt.shaping.heating.controller import HALF, LawState, decide, run_loop,
 from tubeopt.shaping.heating.optimal_schedule import solve_ideal
 from tubeopt.shaping.heating.planning import plan_heating
 from tubeopt.shaping.heating.replanning import Replanner, planner_for
-from tubeopt.shaping.heating.robust import RESET, Response, nominal_law, regulator
+from tubeopt.shaping.heating.robust import RESET, Response, lacking_power, nominal_law, regulator
 from tubeopt.shaping.heating.sensors import lagged_reading
 from tubeopt.shaping.heating.simulation import at_rest
 from tubeopt.shaping.heating.thermal import curved_temperatures, stack, thermal_model
@@ -103,6 +103,25 @@ def test_a_bare_tube_that_no_thermometer_sees_is_named_with_its_cure() -> None:
     assert unlikely(Success(0.9, 200, "thermocouple"))
     assert not unlikely(Success(0.6, 60))
     assert "--sensor thermocouple" in unlikely(Success(0.3, 60))
+
+
+def test_a_battery_too_weak_is_named_with_the_voltage_it_takes() -> None:
+    """Losses are in proportion to the rise, and power to the square of the voltage: 400 of 500 K take V sqrt(5 / 4)."""
+    f = led()
+    wanted = float(f.law.reference[f.law.hold[0]] - f.law.reference.min())
+    stuck = f.law.reference.min() + 0.8 * wanted
+    members = len(f.history.finished)
+    weak = replace(
+        f.history,
+        finished=np.arange(members) > 0,
+        count=np.where(np.arange(members) > 0, f.history.count, 249),
+        reading=np.where(np.arange(members) > 0, f.history.reading, np.minimum(f.history.reading, stuck)),
+    )
+    assert lacking_power(f.law, f.history) == 0.0
+    assert lacking_power(f.law, weak) == pytest.approx(0.25, abs=1e-6)
+    told = replace(f, volts=(12.7, 12.7 * np.sqrt(1.25)), kept=np.arange(f.samples) < 0.9 * f.samples)
+    assert any("Take at least 14.2 V" in line for line in told.problems)
+    assert not any("battery" in line for line in replace(told, kept=f.kept).problems)
 
 
 def test_a_led_rig_does_what_an_adaptive_integrator_says_of_its_counts() -> None:

@@ -43,6 +43,7 @@ from tubeopt.shaping.heating.cutout import (
 from tubeopt.shaping.heating.thermal import FINE, ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
 from tubeopt.show.heat_report import FeedbackReport, HeatingRunReport
+from tubeopt.show.plots.heating import plot_wiring
 from tubeopt.typing import Array
 
 from .firmware_host import COMPILER, Fault, built, run
@@ -337,6 +338,27 @@ def _defined(header: str, name: str) -> float:
     found = re.search(rf"#define {name} \(([-0-9.e]+)f\)", header)
     assert found is not None
     return float(found[1])
+
+
+@pytest.mark.parametrize(("board", "factor"), [("uno", 0.45), ("pico", 0.507)])
+def test_the_monostable_is_drawn_as_it_is_listed(board: str, factor: float) -> None:
+    """Its time by the data sheet of NXP, K R C with K between 0.55 at 2 V and 0.45 at 5 V, is 1.5 periods."""
+    wiring, frequency = Wiring(board=board), plan().rig.circuit.pwm_frequency
+    parts = {part.name: part.rating for part in parts_list(plan(), wiring)}
+    kohm = float(re.findall(r"([0-9.]+) kohm, 1 uF", parts["monostable"])[0])
+    assert factor * kohm * 1e3 * 1e-6 == pytest.approx(1.5 / frequency, rel=0.05)
+    zener = re.findall(r"([0-9.]+ V) Zener", parts["gate"])[0]
+    supply = re.findall(r"74HC132 at ([0-9.]+ V)", parts["gate"])[0]
+    assert float(zener.split()[0]) <= float(supply.split()[0]) == wiring.known.reference
+    figure = plot_wiring(ClosedLoopHeating(plan(), led(), wiring, frequency))
+    drawn = [text.get_text() for text in figure.axes[1].texts]
+    for value in (f"{kohm:g} kohm", "1 uF", supply, f"{zener}\nZener", f"pin {wiring.known.pins['tick']}, tick"):
+        assert value in drawn
+    # Every chip has its supply, its ground, and no open input: 14 and 16 pins, those with a wire and those in the text.
+    words = " ".join(drawn)
+    assert {"14", "7", "1", "2", "3", "16", "8", "1 A", "2 B, 3 RD", "13 Q", "14 C", "15 RC"} <= set(drawn)
+    assert "4, 5, 9, 10, 12,\n13 to ground" in words
+    assert "9, 10, 11 to ground" in words
 
 
 def test_parts_bear_the_currents() -> None:

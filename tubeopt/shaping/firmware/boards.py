@@ -65,6 +65,9 @@ CLAMP_RESERVE = 30.0
 HOT_TUBE = 560.0
 """Tube when the switch shorts, degC, to choose the PWM frequency: above the stop limit of a window up to 550."""
 
+PULSE_FACTORS, TIMING_CAPACITOR = ((2.0, 0.55), (5.0, 0.45)), 1e-6
+"""Time of a 74HC123 over resistor times capacitor at a supply, V (NXP, Rev. 9, 2015), and its film capacitor, F."""
+
 E24 = (
     1.0, 1.1, 1.2, 1.3, 1.5, 1.6, 1.8, 2.0, 2.2, 2.4, 2.7, 3.0, 3.3, 3.6, 3.9, 4.3, 4.7, 5.1, 5.6, 6.2, 6.8, 7.5, 8.2,
     9.1,
@@ -166,6 +169,19 @@ def upper_resistor(wiring: Wiring, battery: Battery) -> float:
     smallest = max(LOWER * (VOLTAGE_RANGE * full / wiring.known.reference - 1), 1e3)
     decade = 10.0 ** math.floor(math.log10(smallest))
     return next(value * decade for value in (*E24, 10.0) if value * decade >= smallest)
+
+
+def timing_resistor(wiring: Wiring, frequency: float) -> float:
+    """Resistor (ohm) of the monostable for pulses of a frequency (Hz): the nearest of E24."""
+    factor = float(np.interp(wiring.known.reference, *np.array(PULSE_FACTORS).T))
+    desired = MONOSTABLE_PERIODS / frequency / (factor * TIMING_CAPACITOR)
+    decade = 10.0 ** math.floor(math.log10(desired))
+    return min((value * decade for value in (*E24, 10.0)), key=lambda value: abs(math.log(value / desired)))
+
+
+def clamp_voltage(wiring: Wiring) -> float:
+    """Voltage (V) of the Zener diode at the input of the gate: below the supply of its logic."""
+    return min(wiring.known.reference, 4.7)
 
 
 def divider(wiring: Wiring, battery: Battery) -> float:
@@ -301,6 +317,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     pins, avalanche = wiring.known.pins, 0.5 * LOOP_INDUCTANCE * peak**2
     overheats = avalanche * circuit.pwm_frequency > TVS_HEAT
     monostable = 1e3 * MONOSTABLE_PERIODS / circuit.pwm_frequency
+    timing = timing_resistor(wiring, circuit.pwm_frequency)
     return (
         Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; melts above {safety.least_melting:.0f} A2s, or "
              f"pulses of {peak:.0f} A age it; breaks the {short / 1e3:.2g} kA DC of a shorted battery",
@@ -316,9 +333,12 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"{1e3 * circuit.cutout_opening:g} ms; a Zener diode at a coil, no plain diode",
              f"shorted switch: tube at {safety.peak:.0f} degC after {1e3 * safety.delay:.0f} ms, 650 degC after "
              f"{1e3 * safety.budget:.0f} ms"),
-        Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %), retriggered by pin {pins['tick']} AND drain "
-             f"high (74HC132); 10 kohm at the drain's lug, {min(reference, 4.7):g} V Zener diode at the gate's input",
+        Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %): {timing / 1e3:g} kohm, "
+             f"{1e6 * TIMING_CAPACITOR:g} uF film, at {reference:g} V; 100 nF from pin 16 to 8",
              "a shorted switch keeps the drain low, a dead board sends no tick: both open the cut-out"),
+        Part("gate", f"74HC132 at {reference:g} V, of pin {pins['tick']} and the drain; 10 kohm at the drain's lug, "
+             f"{clamp_voltage(wiring):g} V Zener diode at its input, 10 kohm from the tick to ground; 100 nF from "
+             "pin 14 to 7", "retriggers the monostable while the drain is high; a board in reset sends no tick"),
         Part("coil switch", f"logic-level transistor, {voltage} V, {CONTROL:g} A, 10 kohm from gate to source, between "
              "coil and ground", "the monostable drives no coil; without it the coil is off"),
         Part("pull-up", f"1 kohm, {math.ceil(charged**2 / 500) / 2:g} W, across the open cut-out",

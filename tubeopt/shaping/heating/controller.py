@@ -290,6 +290,8 @@ class Feedback(Displayed):
     """Largest allowed temperature of any point, degC."""
     bare: tuple[float, float] = (0.0, math.inf)
     """Length of bare tube beside a clamp, and the longest that keeps the limit where molds draw most heat, m."""
+    volts: tuple[float, float] = (0.0, 0.0)
+    """Voltage of the battery at rest, and the smallest with enough power in full pulses for all of these rigs, V."""
 
     @property
     def samples(self) -> int:
@@ -339,6 +341,12 @@ class Feedback(Displayed):
                 f"{length:.1f} mm of bare tube beside each clamp are too long for molds that take much heat. It gets "
                 f"hotter than {self.limit + MOST_EXCESS:.0f} degC on {100 * hot.mean():.0f} % of the uncertain rigs, "
                 f"up to {self.top.max():.0f}. No thermometer sees it. {cure}"
+            )
+        given, needed = self.volts
+        if needed > given and self.probability < ENOUGH:
+            problems.append(
+                f"the battery of {given:.1f} V is too weak for molds that take much heat: there full pulses leave the "
+                f"tube behind its schedule. Take at least {needed:.1f} V, shorter leads, or a board that conducts less"
             )
         if self.silent:
             problems.append(

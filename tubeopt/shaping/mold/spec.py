@@ -199,7 +199,7 @@ class ClampSpec:
         LENGTH,
         "width of a clamp's face towards the plate, behind which it widens at 45 deg; a narrow one comes close to a "
         "plate that the tube leaves at an angle",
-    ] = 4e-3
+    ] = 3.5e-3
     least_lead: Annotated[float, unit("mm"), LENGTH, "smallest straight groove on each side of the bend"] = 5e-3
     sliding_end: Annotated[str, OneOf(ENDS), "end with the sliding clamp, for thermal expansion of the tube"] = "distal"
     travel_factor: Annotated[float, POSITIVE, "travel of the sliding clamp per thermal expansion of the tube"] = 1.5

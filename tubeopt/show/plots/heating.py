@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...runs.heating_study import ClosedLoopHeating
-from ...shaping.firmware.boards import Wiring, parts_list
+from ...shaping.firmware.boards import TIMING_CAPACITOR, Wiring, clamp_voltage, parts_list, timing_resistor
 from ...shaping.heating.calibration import RigFit
 from ...shaping.heating.oven import OvenPlan
 from ...shaping.heating.plan import HeatingPlan
@@ -218,7 +218,9 @@ def plot_feedback(answer: ClosedLoopHeating) -> Figure:
 
 Path = Sequence[tuple[float, float]]
 
-BOXES = {
+Box = tuple[float, float, float, float]
+
+BOXES: dict[str, Box] = {
     "battery": (0.02, 0.44, 0.1, 0.35),
     "fuse": (0.14, 0.67, 0.06, 0.1),
     "main\nswitch": (0.22, 0.67, 0.075, 0.1),
@@ -230,15 +232,17 @@ BOXES = {
     "supply\n5 V, 12 V": (0.18, 0.36, 0.11, 0.1),
     "stop,\nthermal": (0.335, 0.52, 0.075, 0.09),
     "coil\nswitch": (0.428, 0.52, 0.065, 0.09),
-    "mono-\nstable": (0.415, 0.35, 0.075, 0.1),
+    "gate,\nmonostable": (0.405, 0.35, 0.09, 0.1),
     "10 kohm": (0.765, 0.56, 0.075, 0.05),
     "1 uF": (0.68, 0.485, 0.055, 0.05),
     "gate\ndriver": (0.6, 0.35, 0.09, 0.1),
     "MOSFET,\nTVS diode": (0.79, 0.33, 0.16, 0.2),
-    "board": (0.18, 0.03, 0.555, 0.13),
     "thermometer": (0.83, 0.03, 0.16, 0.13),
 }
 """Positions of the parts: left, bottom, width, height."""
+
+BOARD: Box = (0.18, 0.03, 0.555, 0.13)
+"""Position of the board."""
 
 CURRENT: tuple[Path, ...] = (
     ((0.12, 0.72), (0.14, 0.72)),
@@ -258,15 +262,16 @@ The last is the path through the diode when the transistor is off.
 GROUND: tuple[Path, ...] = (
     ((0.21, 0.36), (0.21, 0.28)),
     ((0.485, 0.52), (0.505, 0.52), (0.505, 0.28)),
+    ((0.475, 0.35), (0.475, 0.28)),
     ((0.66, 0.35), (0.66, 0.28)),
     ((0.71, 0.485), (0.71, 0.28)),
     ((0.71, 0.16), (0.71, 0.28)),
 )
-"""Wires from supply, coil switch, gate driver and its capacitor, and the board to the ground."""
+"""Wires from supply, coil switch, monostable, gate driver and its capacitor, and the board to the ground."""
 
 JOINTS = (
     (0.32, 0.72), (0.475, 0.72), (0.62, 0.72), (0.81, 0.72), (0.87, 0.585), (0.37, 0.49), (0.64, 0.49), (0.21, 0.28),
-    (0.505, 0.28), (0.66, 0.28), (0.71, 0.28),
+    (0.475, 0.28), (0.505, 0.28), (0.66, 0.28), (0.71, 0.28),
 )  # fmt: skip
 TERMINALS = {
     "+": (0.105, 0.72),
@@ -279,38 +284,121 @@ DIODE, DIODE_SIZE = (0.715, 0.87), 0.022
 """Centre and half width of the diode symbol; its bar is towards the battery's plus."""
 
 
+WIRING_NOTES = """The monostable closes the cut-out while ticks meet a high drain: a shorted
+switch or a dead board opens it. The main switch cuts all off. Stop, thermal
+switch and coil switch are in the coil's current. The 10 kohm sit at the drain's
+lug: no wire beyond them carries its peaks. 1 uF stands at the driver's pins.
+There is one ground: battery, driver and board are joined at the MOSFET's
+source. Current sensor, divider and thermometer take theirs from the board.
+Between pulses the tube is at the battery's plus: a bead that touches its metal
+would put that on the converter. A coat of ceramic cement or a foil of mica
+insulates it. Test it before the first tube, with a lamp of 12 V in its place
+and a wire from drain to source: a shorted switch. At a start the lamp must stay
+dark, and the board report "no voltage"."""
+"""Notes beside the drawing."""
+
+LOGIC_WIRES: tuple[Path, ...] = (
+    ((0.06, 0.27), (0.085, 0.27)), ((0.155, 0.27), (0.30, 0.27)), ((0.195, 0.27), (0.195, 0.18)),
+    ((0.195, 0.12), (0.195, 0.03)), ((0.10, 0.22), (0.30, 0.22)), ((0.262, 0.22), (0.262, 0.14)),
+    ((0.262, 0.09), (0.262, 0.03)), ((0.40, 0.245), (0.50, 0.245)), ((0.35, 0.30), (0.35, 0.39)),
+    ((0.35, 0.19), (0.35, 0.03)), ((0.50, 0.30), (0.465, 0.30), (0.465, 0.39)), ((0.53, 0.33), (0.53, 0.39)),
+    ((0.53, 0.13), (0.53, 0.03)), ((0.66, 0.29), (0.72, 0.29)), ((0.72, 0.39), (0.72, 0.37)),
+    ((0.72, 0.325), (0.72, 0.28)), ((0.72, 0.235), (0.72, 0.21), (0.66, 0.21)), ((0.66, 0.16), (0.81, 0.16)),
+    ((0.762, 0.16), (0.762, 0.12)), ((0.762, 0.075), (0.762, 0.03)), ((0.85, 0.12), (0.85, 0.03)),
+    ((0.85, 0.20), (0.85, 0.24)), ((0.85, 0.29), (0.85, 0.33)), ((0.85, 0.385), (0.85, 0.41)),
+    ((0.85, 0.22), (0.95, 0.22), (0.95, 0.235)), ((0.95, 0.295), (0.95, 0.31), (0.85, 0.31)),
+    ((0.15, 0.03), (0.90, 0.03)), ((0.33, 0.39), (0.74, 0.39)),
+)  # fmt: skip
+"""Wires of the monostable; the last two are ground and supply."""
+
+LOGIC_JOINTS = (
+    (0.195, 0.27), (0.262, 0.22), (0.72, 0.29), (0.762, 0.16), (0.85, 0.22), (0.85, 0.31), (0.35, 0.39), (0.465, 0.39),
+    (0.53, 0.39), (0.72, 0.39), (0.195, 0.03), (0.262, 0.03), (0.35, 0.03), (0.53, 0.03), (0.762, 0.03), (0.85, 0.03),
+)  # fmt: skip
+
+
+def _draw_logic(axes: Axes, answer: ClosedLoopHeating) -> None:
+    """Monostable with its gate, supply, values and pins, and the coil that it holds."""
+    wiring = answer.wiring
+    supply, zener = f"{wiring.known.reference:g} V", f"{clamp_voltage(wiring):g} V\nZener"
+    resistor = f"{timing_resistor(wiring, answer.frequency) / 1e3:g} kohm"
+    axes.set_axis_off()
+    axes.set(xlim=(0, 1), ylim=(0.0, 0.46))
+    boxes: dict[str, Box] = {
+        "10 kohm#drain": (0.085, 0.25, 0.07, 0.04),
+        zener: (0.165, 0.12, 0.06, 0.06),
+        "10 kohm#tick": (0.235, 0.09, 0.058, 0.05),
+        "74HC132": (0.30, 0.19, 0.10, 0.11),
+        "74HC123": (0.50, 0.13, 0.16, 0.20),
+        resistor: (0.685, 0.325, 0.07, 0.045),
+        f"{1e6 * TIMING_CAPACITOR:g} uF": (0.69, 0.235, 0.06, 0.045),
+        "10 kohm#gate": (0.73, 0.075, 0.064, 0.045),
+        "coil\nswitch": (0.81, 0.12, 0.08, 0.08),
+        "coil": (0.82, 0.24, 0.06, 0.05),
+        "stop,\nthermal": (0.81, 0.33, 0.08, 0.055),
+        "Zener,\ndiode": (0.915, 0.235, 0.07, 0.06),
+    }
+    for path in LOGIC_WIRES:
+        axes.plot(*zip(*path, strict=True), color=INK if path in LOGIC_WIRES[-2:] else IDEAL, lw=1.0, zorder=0.5)
+    axes.plot(*zip(*LOGIC_JOINTS, strict=True), "o", color=INK, ms=3.0)
+    _draw_boxes(axes, boxes, 7.0)
+    pin: dict[str, Any] = {"fontsize": 6.0, "color": INK, "va": "center"}
+    for x, y, text, side in (
+        (0.304, 0.27, "1", "left"), (0.304, 0.22, "2", "left"), (0.396, 0.26, "3", "right"),
+        (0.355, 0.29, "14", "left"), (0.355, 0.20, "7", "left"), (0.504, 0.245, "1 A", "left"),
+        (0.504, 0.30, "2 B, 3 RD", "left"), (0.535, 0.32, "16", "left"), (0.535, 0.14, "8", "left"),
+        (0.656, 0.29, "15 RC", "right"), (0.656, 0.21, "14 C", "right"), (0.656, 0.16, "13 Q", "right"),
+    ):  # fmt: skip
+        axes.text(x, y, text, ha=side, **pin)
+    for x, y, text, side in (
+        (0.055, 0.27, "drain", "right"), (0.095, 0.22, f"pin {wiring.known.pins['tick']}, tick", "right"),
+        (0.325, 0.39, supply, "right"), (0.85, 0.425, "12 V", "center"), (0.14, 0.03, "ground", "right"),
+        (0.36, 0.085, "100 nF from 14 to 7;\n4, 5, 9, 10, 12,\n13 to ground", "left"),
+        (0.54, 0.075, "100 nF from 16 to 8;\n9, 10, 11 to ground", "left"),
+    ):  # fmt: skip
+        axes.text(x, y, text, ha=side, fontsize=7, color=INK, va="center")
+    axes.text(0.0, 0.445, "monostable, in detail (numbers: pins of its chips)", fontsize=8, color=INK, va="center")
+
+
 @picture
 def plot_wiring(answer: ClosedLoopHeating) -> Figure:
     """Picture of the wiring: parts, poles, pins of the board, and ratings for the plan's currents."""
     from matplotlib.patches import Polygon
 
-    figure = new_figure(12.0, 7.2)
-    grid = figure.add_gridspec(1, 1 if narrow() else 2, width_ratios=(1.6,) if narrow() else (1.6, 1.0))
+    figure = new_figure(12.0, 9.2)
+    columns = (1.6,) if narrow() else (1.6, 1.0)
+    grid = figure.add_gridspec(2, len(columns), width_ratios=columns, height_ratios=(1.0, 0.46))
     axes = figure.add_subplot(grid[0, 0])
     axes.set_axis_off()
-    axes.set(xlim=(0, 1), ylim=(0.0 if narrow() else -0.13, 0.97))
-    _draw_parts(axes, answer.wiring.known.title)
+    axes.set(xlim=(0, 1), ylim=(0.0, 0.97))
+    _draw_parts(axes, BOXES | {answer.wiring.known.title: BOARD})
+    _draw_logic(figure.add_subplot(grid[1, 0]), answer)
     _draw_wires(axes, answer.wiring)
     (x, y), half = DIODE, DIODE_SIZE
     axes.add_patch(Polygon([(x + half, y - half), (x + half, y + half), (x - half, y)], color=TUBE, zorder=2))
     axes.plot([x - half, x - half], [y - half, y + half], color=TUBE, lw=_thick(), zorder=2)
     axes.text(x, y + 1.8 * half, "diode, its bar towards plus", ha="center", fontsize=7, color=INK)
     if not narrow():  # a narrow page has no space for the parts list, which the sheet has too
-        text = figure.add_subplot(grid[0, 1])
+        text = figure.add_subplot(grid[:, 1])
         text.set_axis_off()
         lines = [f"{part.name}: {part.rating}" for part in parts_list(answer.plan, answer.wiring)]
         rows = [textwrap.fill(line, 66, subsequent_indent="    ") for line in lines]
-        text.text(0, 0.97, "\n".join(rows), fontsize=7, va="top", color=INK, linespacing=1.5)
+        text.text(0, 0.98, "\n".join(rows), fontsize=7, va="top", color=INK, linespacing=1.4)
+        text.text(0, 0.0, WIRING_NOTES, fontsize=7, va="bottom", color=INK, linespacing=1.4)
     return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring")
 
 
-def _draw_parts(axes: Axes, board: str) -> None:
+def _draw_boxes(axes: Axes, boxes: Mapping[str, Box], size: float = 8.0) -> None:
     from matplotlib.patches import FancyBboxPatch
 
-    for name, (x, y, w, h) in BOXES.items():
-        box = FancyBboxPatch((x, y), w, h, boxstyle="round,pad=0.005", facecolor="white", edgecolor=FAINT)
+    for name, (x, y, w, h) in boxes.items():
+        box = FancyBboxPatch((x, y), w, h, boxstyle="round,pad=0.003", facecolor="white", edgecolor=FAINT)
         axes.add_patch(box)
-        axes.text(x + w / 2, y + h / 2, board if name == "board" else name, ha="center", va="center", fontsize=8)
+        axes.text(x + w / 2, y + h / 2, name.split("#")[0], ha="center", va="center", fontsize=size)
+
+
+def _draw_parts(axes: Axes, boxes: Mapping[str, Box]) -> None:
+    _draw_boxes(axes, boxes)
     for name, at in TERMINALS.items():
         size = 13 if len(name) == 1 else 7
         axes.text(*at, name, ha="center", va="center", fontsize=size, color=INK)
@@ -351,6 +439,7 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         (((0.435, 0.66), (0.435, 0.61)), "", (0.0, 0.0)),
         (((0.45, 0.45), (0.45, 0.52)), "", (0.0, 0.0)),
         (((0.43, 0.35), (0.43, 0.16)), f"pin {pins['tick']},\ntick", (0.435, 0.19)),
+        (((0.46, 0.35), (0.46, 0.31), (0.4, 0.31), (0.4, 0.16)), f"{wiring.known.reference:g} V", (0.373, 0.3)),
         (((0.87, 0.585), (0.84, 0.585)), "", (0.0, 0.0)),
         (((0.765, 0.585), (0.545, 0.585), (0.545, 0.4), (0.49, 0.4)), "drain high", (0.6, 0.592)),
         (((0.97, 0.16), (0.97, 0.69), (0.79, 0.69), (0.775, 0.69)), "on the tube", (0.885, 0.7)),
@@ -360,18 +449,6 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         axes.plot(*zip(*path, strict=True), **signal)
         axes.text(*at, label, fontsize=7, color=INK)
     axes.plot([], [], label="signals", **signal)
-    text = (
-        "The monostable closes the cut-out while ticks meet a high drain: a shorted switch or a dead board opens it.\n"
-        "The main switch cuts all off. Stop, thermal switch and coil switch are in the coil's current. The 10 kohm\n"
-        "sit at the drain's lug: no wire beyond them carries its peaks. 1 uF stands at the pins of the driver.\n"
-        "There is one ground: battery, driver and board are joined at the MOSFET's source. Current sensor, divider\n"
-        "and thermometer take theirs from the board. Between pulses the tube is at the battery's plus: a bead that\n"
-        "touches its metal would put that on the converter. A coat of ceramic cement or a foil of mica insulates it.\n"
-        "Test it before the first tube, with a lamp of 12 V in its place and a wire from drain to source: a shorted\n"
-        'switch. At a start the lamp must stay dark, and the board report "no voltage".'
-    )
-    if not narrow():
-        axes.text(0.03, 0.0, text, fontsize=7, color=INK, va="top")
     axes.legend(loc="upper left", fontsize=7, bbox_to_anchor=(0.0, 1.0))
 
 
