@@ -37,7 +37,7 @@ from tubeopt.control.command import Command, ServoOptions, Why
 from tubeopt.control.estimator import BaseReading, EstimatorOptions, StateEstimator, TipReading
 from tubeopt.control.servo import Servo
 from tubeopt.equilibrium.result import Equilibrium
-from tubeopt.inverse.arm_surface import ArmSurface
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.binding import solve_compiled

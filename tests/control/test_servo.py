@@ -22,7 +22,7 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Sphere
 from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
 from tubeopt.control.servo import Servo
-from tubeopt.inverse.arm_surface import ArmSurface
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.binding import kernel_of
 from tubeopt.solvers.compiled.quadratic import constrained_least_squares

@@ -19,7 +19,7 @@ from tubeopt import ConcentricRobot, DesignTask, InputError, PairReach, PlanOpti
 from tubeopt.bodies.frames import base_frame
 from tubeopt.design import Free, Strain
 from tubeopt.design.optimize import DesignStatus
-from tubeopt.inverse.arm_surface import ArmSurface
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.planning import PairFraction
 from tubeopt.show.plots.design import plot_pair_places
 from tubeopt.typing import Array

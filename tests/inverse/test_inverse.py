@@ -29,7 +29,7 @@ from tubeopt import (
 from tubeopt.bodies.obstacles import Scene, Sphere
 from tubeopt.equilibrium.batch import solved_batch
 from tubeopt.inverse import joint_path, multistart
-from tubeopt.inverse.arm_surface import ArmSurface
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.gauss_newton import reach
 from tubeopt.inverse.goal import pose_question, unit_vector

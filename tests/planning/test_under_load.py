@@ -26,7 +26,7 @@ from tubeopt import (
 )
 from tubeopt.bodies.obstacles import Sphere, scene_of
 from tubeopt.equilibrium.result import Equilibrium
-from tubeopt.inverse.arm_surface import ArmSurface
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.planning.loaded_branch import CHORD_ERROR, _Bounds, _Displacement, loaded_branch
 from tubeopt.planning.loaded_sections import DeadLoad, LoadedArms, LoadedIntervals
 from tubeopt.planning.sections import PARTS, SHAPE_ERROR, Constants

@@ -24,8 +24,8 @@ from ..robots.file import AnyRobot
 from ..typing import Array
 from .result import Accuracy, Equilibrium, Status
 
-LOAD_FIELDS = ("load", "work", "point_curvature", "friction")
-"""Fields that a file written without loads and friction does not have."""
+LOAD_FIELDS = ("load", "work", "point_curvature", "friction", "walls")
+"""Fields that a file written without loads, friction and walls does not have."""
 
 PARTS = {"arm": ArmShape, "points": CollocationPoints, "accuracy": Accuracy}
 """Parts of an equilibrium with fields that a file stores separately."""

@@ -40,6 +40,7 @@ from .linearised_bundle import linearise_bundle
 from .member import Loaded, LoadedPoint, discretisation_of
 from .problem import DEFAULT_DISCRETISATION, loading_of
 from .result import Derivatives, Equilibrium, Jacobian
+from .wall_contact import compliance_among_walls
 
 JOINTS = ("rotations", "translations")
 """Default parameters of a Jacobian."""
@@ -379,6 +380,8 @@ def margin_slopes(
 
 def compliance_of(equilibrium: Equilibrium) -> Array:
     """Compliance (6, 6) of the tip; see `Equilibrium.compliance`."""
+    if equilibrium.walls is not None and equilibrium.walls.contacts:
+        return compliance_among_walls(equilibrium)
     point = point_of(equilibrium, Load())
     return np.asarray(point.member.compliance(point.state))
 
@@ -406,5 +409,9 @@ def base_wrench_of(equilibrium: Equilibrium) -> Array:
     """Wrench (6,) of the load on the plate; see `Equilibrium.base_wrench`."""
     if equilibrium.load is None:
         return np.zeros(6)
+    if equilibrium.walls is not None:
+        # Contact forces are forces at points of the load; without the walls the equilibrium need not be stable.
+        member, x = Loaded.of_equilibrium(equilibrium, None, None)
+        return np.asarray(member.base_wrench(member.at(x)))
     point = point_of(equilibrium)
     return np.asarray(point.member.base_wrench(point.state))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import reprlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated, Any
@@ -25,6 +25,7 @@ from ..arguments import renamed, typed
 from ..block.transcription.arm import ArmSolution, Profile, profile
 from ..block.transcription.loaded import monotonicity
 from ..block.transcription.reduced import ReducedProblem, evaluate
+from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..errors import InputError, SolveError, choice, positive
 from ..files.field_metadata import POSITIVE, OneOf, unit
 from ..robots.eccentric import BundleRobot
@@ -37,7 +38,7 @@ from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, NEWTON, Ipopt, Newton
 from ..solvers.time_limit import limited
-from ..typing import Array
+from ..typing import Array, lazy_import
 from .bundle import Bundled, bundle_at, bundle_start
 from .continuation import (
     SHARPEST_STEP,
@@ -60,7 +61,7 @@ from .problem import (
     check_load,
     loaded_rules,
 )
-from .result import Accuracy, Equilibrium, Statistics, Status, refuse_friction, refuse_load
+from .result import Accuracy, Equilibrium, Statistics, Status, refuse_contact, refuse_load
 
 # --- Method -----------------------------------------------------------------------------------------------------------
 
@@ -247,7 +248,7 @@ def unsolved(
         load: load that will grow on an unloaded equilibrium; its factor is still 0.
         discretisation: mesh of an unloaded equilibrium, or the default. A loaded one keeps its mesh.
     """
-    refuse_friction(equilibrium)
+    refuse_contact(equilibrium)
     kind: type[Bundled | Unloaded | Loaded] = Unloaded if load is None and equilibrium.load is None else Loaded
     if not equilibrium.robot.fixed_sections:
         kind = Bundled
@@ -467,6 +468,7 @@ def forward_kinematics(  # noqa: PLR0913
     method: Annotated[str | Newton | Ipopt, OneOf(METHODS)] = "newton",
     start: Any = None,
     load: Load | None = None,
+    walls: Sequence[Obstacle] = (),
     tolerance: Annotated[float, unit("rad"), POSITIVE] = TOLERANCE,
     verify: bool = False,
     discretisation: Discretisation = DEFAULT_DISCRETISATION,
@@ -483,6 +485,8 @@ def forward_kinematics(  # noqa: PLR0913
         start: an Equilibrium or InverseSolution, or a pair (rotations, translations) for its `forward_kinematics`.
         load: external load. Without a start, the unloaded equilibrium is followed while the load grows. With one, the
             branch of the start is followed to these joint values and this load.
+        walls: bodies that the arm cannot enter, and that push it without friction. Without a start they advance from
+            where the arm is free to their places. A start among walls is moved to these joint values among them.
         method: solver: newton (collocation), ipopt (the same as an NLP) or energy (minimum of the elastic energy).
             "newton" solves condensed collocation equations, "ipopt" the same equations as constraints of a nonlinear
             program, and "energy" minimises the elastic energy by IPOPT (concentric tubes only). Solver settings are
@@ -524,10 +528,16 @@ def forward_kinematics(  # noqa: PLR0913
     request = SolveRequest(solver, tolerance, start_time)
     if load is not None:
         check_load(robot, load, translation)
-    elif guess is not None and guess.load is not None:
+    elif guess is not None and guess.given_load is not None:
         raise InputError("start has a load, but no load is given; give the load, or a start without load")
+    if guess is not None and not walls:
+        refuse_contact(guess)
 
-    if load is None and guess is None:
+    if walls:
+        bodies = checked_obstacles(walls)
+        among: Callable[..., Equilibrium] = lazy_import("tubeopt.equilibrium.wall_contact.among_walls")
+        result = among(robot, alpha, shift, load, bodies, guess)
+    elif load is None and guess is None:
         result = _from_scratch(robot, alpha, shift, discretisation, request)
     else:
         if guess is None:

@@ -37,7 +37,7 @@ from .arm_change import SHAPE_POINTS, ArmChange
 from .directions import Change, Directions, columns_of
 from .member import discretisation_of, sample_rotation
 from .problem import loaded_problem, reduced_problem
-from .result import Derivatives, Equilibrium, refuse_friction
+from .result import Derivatives, Equilibrium, refuse_contact
 
 # --- Margin of tubes off the centreline -------------------------------------------------------------------------------
 
@@ -376,7 +376,7 @@ def standing_of(equilibrium: Equilibrium, straight: bool = True) -> LinearisedAr
         InputError: friction acts on it.
         SolveError: it was not solved.
     """
-    refuse_friction(equilibrium)
+    refuse_contact(equilibrium)
     robot, shift = equilibrium.robot, tuple(equilibrium.translations.tolist())
     if equilibrium.load is None:
         problem, loaded = reduced_problem(robot, shift, discretisation_of(equilibrium)), None

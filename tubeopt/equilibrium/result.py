@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import numpy as np
+from pydantic import Field
 
 from ..block.transcription.arm import ArmShape, CollocationPoints
 from ..display import Displayed
@@ -104,6 +106,34 @@ class FrictionState:
     def sticking(self) -> Mask:
         """(R,) True where the torque is below the capacity."""
         return np.abs(self.torque) < np.array(self.capacity) * (1 - 1e-12)
+
+
+@dataclass(frozen=True)
+class WallForce(Displayed):
+    """Contact of an arm with a wall."""
+
+    body: Annotated[int, "number of the body, from 1"]
+    arc_length: Annotated[float, unit("mm"), form(".4f"), "arc length from the base plate"]
+    point: Annotated[tuple[float, float, float], unit("mm"), form(".4f"), "point of the centreline"]
+    force: Annotated[tuple[float, float, float], unit("mN"), form(".4g"), "force on the arm in the base frame"]
+
+    @property
+    def size(self) -> float:
+        """Contact force, N."""
+        return math.hypot(*self.force)
+
+
+@dataclass(frozen=True)
+class WallState:
+    """Contacts of an arm with walls that it cannot enter."""
+
+    contacts: Annotated[tuple[WallForce, ...], "contacts with a force, base to tip"]
+    clearance: Annotated[float, unit("mm"), form(".4g"), "smallest distance of the arm's surface from the walls"]
+    """About 0 with a contact."""
+    load: Load | None
+    """Given load; that of the equilibrium also has the contact forces, as forces at points."""
+    bodies: Annotated[tuple[Any, ...], Field(exclude=True)] = field(default=(), repr=False)
+    """Walls; a saved equilibrium has none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,10 +304,12 @@ class Equilibrium(Displayed):
     work: float = 0.0
     """Work of dead loads, int n.t ds of the force n on the cross-sections, J.
 
-    0 without a load, NaN for loads without an energy.
+    0 without a load, NaN for loads without an energy. Contact forces of walls do no work.
     """
     friction: FrictionState | None = None
     """State of the friction, needed to continue a motion with friction; None without friction."""
+    walls: WallState | None = None
+    """Contacts with walls, which the margin takes into account; None without walls."""
 
     arc_length, position, frame = Delegate[Array]("arm"), Delegate[Array]("arm"), Delegate[Array]("arm")
     curvature, rotation, torsion = Delegate[Array]("arm"), Delegate[Array]("arm"), Delegate[Array]("arm")
@@ -322,6 +354,11 @@ class Equilibrium(Displayed):
     def stable(self) -> bool:
         """True if the margin is positive: the robot stays in this equilibrium."""
         return self.margin > 0
+
+    @property
+    def given_load(self) -> Load | None:
+        """External load without contact forces of walls, or None."""
+        return self.load if self.walls is None else self.walls.load
 
     @property
     def potential(self) -> float:
@@ -422,13 +459,20 @@ def refuse_load(equilibrium: Equilibrium) -> None:
     """Raise InputError for an equilibrium with a load or friction, in functions that support neither."""
     if equilibrium.load is not None:
         raise InputError("the equilibrium has a load; this function supports equilibria without load only")
-    refuse_friction(equilibrium)
+    refuse_contact(equilibrium)
 
 
 def refuse_friction(equilibrium: Equilibrium) -> None:
     """Raise InputError for an equilibrium with friction, in functions that do not support it."""
     if equilibrium.friction is not None:
         raise InputError("the equilibrium has friction; this function supports equilibria without friction only")
+
+
+def refuse_contact(equilibrium: Equilibrium) -> None:
+    """Raise InputError for an equilibrium with friction or with contact forces of walls, as `refuse_friction`."""
+    refuse_friction(equilibrium)
+    if equilibrium.walls is not None and equilibrium.walls.contacts:
+        raise InputError("the equilibrium touches walls; this function supports equilibria without contact only")
 
 
 def small_turn(turn: Array) -> Array:

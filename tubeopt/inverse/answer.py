@@ -11,6 +11,7 @@ from ..arguments import typed
 from ..block.custom import CustomObjective, CustomRequirement
 from ..bodies.obstacles import Scene
 from ..display import Displayed
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, positive, whole
 from ..files.field_metadata import (
@@ -27,7 +28,6 @@ from ..files.field_metadata import (
 )
 from ..robots.robot import Robot
 from ..typing import Array, Delegate, StatusEnum
-from .arm_surface import ArmSurface
 
 OBJECTIVES = ("nearest", "margin", "curvature")
 """Objectives: joint values nearest to a reference, largest margin, smallest int |u|^2 ds."""

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..block.custom import CustomObjective, CustomRequirement
 from ..block.quantities import Expression, Quantity, recorded
 from ..bodies.obstacles import Obstacle, Scene, checked_obstacles, scene_of
+from ..equilibrium.arm_surface import MAX_CONTACTS, Contacts
 from ..equilibrium.linearised import Linearised, curvature_at, position_changes, positions_at
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits, check_target
@@ -20,7 +21,6 @@ from ..robots.robot import Robot, check_robot
 from ..stability import snap_free_certificate
 from ..typing import Array, Delegate, Index
 from .answer import DEFAULT_OPTIONS, InverseOptions
-from .arm_surface import MAX_CONTACTS, Contacts
 from .clock import Clock
 from .joints import Configuration, JointSpace, configuration, joint_space, scaled_weights, shift_of
 from .posture import Posture

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from ..equilibrium.arm_surface import MAX_CONTACTS
 from ..files.units import TO_MM
-from .arm_surface import MAX_CONTACTS
 from .goal import DIRECTION_TOLERANCE, POSITION_TOLERANCE, Goal
 from .posture import Posture
 

@@ -19,6 +19,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from ..display import in_full
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.batch import solved_batch
 from ..errors import InputError, SolveError
 from ..files.files import atomic_write
@@ -28,7 +29,6 @@ from ..solvers.compiled.bundle import MOST_TUBES, bundle_kernel
 from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus
-from .arm_surface import ArmSurface
 from .clock import Clock
 from .closest import SAME_MISS, closest_of
 from .gauss_newton import ON_TARGET, SLACK, DescentSearch, correct, improve, reach

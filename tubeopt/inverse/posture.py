@@ -12,6 +12,7 @@ import numpy as np
 from ..block.transcription.arm import between
 from ..block.transcription.reduced import ReducedProblem
 from ..bodies.obstacles import Scene
+from ..equilibrium.arm_surface import ArmSurface, Contacts
 from ..equilibrium.jacobian import compiled_slopes, derivatives_of
 from ..equilibrium.kinematics import forward_kinematics, one_step, point_of, reference_length
 from ..equilibrium.member import PlainPoint
@@ -19,7 +20,6 @@ from ..equilibrium.result import Derivatives, Equilibrium, refuse_load
 from ..errors import InputError, SolveError
 from ..solvers.settings import LARGEST_SHIFT, LARGEST_TURN
 from ..typing import Array, Delegate
-from .arm_surface import ArmSurface, Contacts
 from .joints import Configuration, JointSpace, configuration
 
 

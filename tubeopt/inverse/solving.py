@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import renamed, typed
 from ..bodies.obstacles import Obstacle
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice, instance, vector
@@ -29,7 +30,6 @@ from ..robots.robot import Robot, check_robot
 from ..solvers.blas import small
 from ..typing import Array
 from .answer import DEFAULT_OPTIONS, InverseOptions, InverseSolution, InverseStatistics, InverseStatus, JointPath
-from .arm_surface import ArmSurface
 from .breakpoint_order import OrderConstraints, breakpoint_order, crossings
 from .clock import Clock
 from .gauss_newton import FIRST_STEP, StepModel, broyden, moved, on_target, reach

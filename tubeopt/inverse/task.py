@@ -32,12 +32,12 @@ from ..block.transcription.explicit import (
     explicit_size,
 )
 from ..bodies.obstacles import Obstacle, Scene, scene_of
+from ..equilibrium.arm_surface import outer_radius
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
 from ..typing import Array, Delegate, Mask
-from .arm_surface import outer_radius
 from .clock import Clock, OutOfTimeError
 from .joints import JointSpace
 

@@ -30,11 +30,11 @@ from ..bodies.anatomy import bodies_in_frame
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Capsule, Obstacle, Sphere, checked_obstacles, scene_of
 from ..display import Displayed
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, instance, positive, vector
 from ..files.field_metadata import unit
-from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..robots.robot import Robot, check_robot
 from ..solvers.time_limit import LONG_TIME_LIMIT, MIN_SECONDS

@@ -22,11 +22,11 @@ from numpy.typing import ArrayLike
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Box
 from ..display import Displayed
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, vector
 from ..inverse import InverseOptions, InverseSolution, inverse_kinematics
-from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..inverse.gauss_newton import reach
 from ..inverse.goal import Goal, unit_vector

@@ -29,12 +29,12 @@ from scipy.interpolate import CubicHermiteSpline
 from ..arguments import typed
 from ..block.composed import as_program
 from ..bodies.obstacles import Obstacle, checked_obstacles, scene_of
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_CLEARANCE, typical_length
 from ..inverse import InverseOptions, inverse_kinematics
-from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..inverse.goal import unit_vector
 from ..inverse.joints import joint_space

@@ -21,11 +21,11 @@ from ..bodies.anatomy import bodies_in_frame
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, finite, instance, items, positive, whole
 from ..files.field_metadata import TYPICAL_TIP_ERROR, typical_length
-from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import OutOfTimeError
 from ..robots.limits import check_target
 from ..robots.robot import Robot

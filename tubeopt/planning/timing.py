@@ -25,10 +25,10 @@ import numpy as np
 import scipy
 from scipy.interpolate import PPoly
 
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
-from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..typing import Array, Index, Mask
 from .motion import INSTANT, MIN_SAMPLES_OF_TIP, SAMPLE_STEP, JointMotion

@@ -15,6 +15,7 @@ import numpy as np
 from ..bodies.frames import Frame, Plane
 from ..bodies.obstacles import Obstacle, scene_of
 from ..display import Displayed
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.readings import to_model, to_readings
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError
@@ -22,7 +23,6 @@ from ..files.csv_file import decoded, read_csv, to_csv
 from ..files.files import read_bytes, write_text
 from ..files.shipped import resolve_file
 from ..files.units import DEG, MM, RAD, in_unit
-from ..inverse.arm_surface import ArmSurface
 from ..inverse.joints import joint_space
 from ..robots.file import check_joints, joint_cells, joint_columns, load_robot
 from ..robots.load import Load

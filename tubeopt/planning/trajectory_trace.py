@@ -27,11 +27,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from ..bodies.obstacles import Scene
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.continuation import meetings
 from ..equilibrium.kinematics import forward_kinematics, linearised, one_step, sure_margin
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
-from ..inverse.arm_surface import ArmSurface
 from ..inverse.clock import Clock
 from ..robots.load import Load
 from ..robots.robot import Robot

@@ -54,6 +54,7 @@ from .robot_keys import (
     joints_of,
 )
 from .study_file import Arguments, Options, Timed, question, rewording
+from .surroundings_file import WallBodies
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,14 +143,21 @@ Shaken = Annotated[bool, Field(description="ignore the friction of the robot fil
 
 @question("following the path")
 def follow_path(
-    robot: RobotPath, path: WaypointsPath, load: ExternalLoad, shaken: Shaken = False, progress: Progress | None = None
+    robot: RobotPath,
+    path: WaypointsPath,
+    load: ExternalLoad,
+    walls: WallBodies = (),
+    shaken: Shaken = False,
+    progress: Progress | None = None,
 ) -> Path:
     """Slow motion through waypoints of joint values, and its snaps; a calibrated robot's are drive readings."""
     last = len(path.rotations) - 1
     # Waypoint 0 is the start, so that the last one is the count of steps.
     step = None if progress is None else lambda waypoint: progress(waypoint, last)
     joints = to_model(robot, path.rotations, path.translations)
-    return follow(robot, *joints, load=load, friction=None if shaken else friction_of(robot), progress=step)
+    return follow(
+        robot, *joints, load=load, friction=None if shaken else friction_of(robot), walls=walls, progress=step
+    )
 
 
 @dataclass(frozen=True, eq=False)

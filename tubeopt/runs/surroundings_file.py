@@ -574,6 +574,17 @@ else:
 """Obstacles in SI, given as a list of bodies or as the path of a file with the key `obstacles`."""
 
 
+WallBodies = Annotated[
+    Bodies,
+    Field(
+        description="bodies that the arm cannot enter, and that push it where it touches them, without friction: a "
+        "YAML file of obstacles, or a list as [{centre_mm: [30, 0, 120], radius_mm: 8}]; default none",
+        examples=["OBSTACLES.yaml"],
+    ),
+]
+"""Walls that push the arm."""
+
+
 class Surrounded(Entry):
     """Robot with obstacles and an anatomy around it."""
 

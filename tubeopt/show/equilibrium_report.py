@@ -12,7 +12,7 @@ from rich.text import Text
 
 from ..equilibrium.clearance import clearance_correction
 from ..equilibrium.file import save_equilibrium
-from ..equilibrium.result import Equilibrium, Verification
+from ..equilibrium.result import Equilibrium, Verification, WallForce
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.concentric import ConcentricRobot, friction_of
 from ..robots.eccentric import BufferedTube, buffered_tubes, free_channel
@@ -222,6 +222,28 @@ def _real(e: Equilibrium) -> Uncertainty | None:
     return uncertainty(e)
 
 
+CONTACT: tuple[Quantity[Equilibrium], ...] = (
+    Quantity("clearance_mm", "smallest distance of the arm's surface from the walls; absent without walls",
+             lambda e: e.walls and e.walls.clearance, optional=True),
+    Quantity("contacts", "contacts with walls, base to tip; absent without walls",
+             lambda e: e.walls and list(e.walls.contacts), of=described(WallForce), optional=True),
+    line("contacts", lambda e: _contact_text(e)),
+)  # fmt: skip
+"""Contacts with walls."""
+
+
+def _contact_text(e: Equilibrium) -> str | None:
+    """Contacts with walls, as text; None without walls."""
+    if e.walls is None:
+        return None
+    if not e.walls.contacts:
+        return f"none; the nearest wall is {e.walls.clearance * TO_MM:.3f} mm away"
+    return "\n".join(
+        f"body {contact.body} at {contact.arc_length * TO_MM:.2f} mm with {contact.size * TO_MILLI:.4g} mN"
+        for contact in e.walls.contacts
+    )
+
+
 EQUILIBRIUM = described(
     Equilibrium,
     Quantity("robot", "name of the robot", lambda e: e.robot.name),
@@ -251,6 +273,7 @@ EQUILIBRIUM = described(
              label="pointing along"),
     "tip_rotations",
     of_field(Equilibrium, "margin", label="margin", text=lambda e: margin_text(e.margin)),
+    *CONTACT,
     *SNAP_DISTANCE,
     *within(REAL, lambda e: _real(e)),
     "energy",

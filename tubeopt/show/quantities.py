@@ -295,7 +295,8 @@ def _on_the_plate(e: Equilibrium) -> str:
 LOADED: tuple[Quantity[Equilibrium], ...] = within(
     (
         Quantity[Equilibrium]("load", "what pushes, in words; absent without load",
-                              lambda e: load_text(e.load or Load()), label="load", text="{load}", optional=True),
+                              lambda e: e.given_load and load_text(e.given_load), label="load", text="{load}",
+                              optional=True),
         Quantity("potential_mJ", "elastic energy less the work of the load", optional=True),
         Quantity("compliance",
                  "6 x 6 compliance: translation (m) and rotation (rad) of the tip per force (N) and moment (N m) there",

@@ -21,11 +21,11 @@ from ..bodies.anatomy import TransformedBody
 from ..bodies.corridors import Corridor, MeshObstacle
 from ..bodies.distance_field import DistanceField, surface_net
 from ..bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Sphere
+from ..equilibrium.arm_surface import outer_radius
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, import_extra
 from ..files.files import atomic_write
 from ..files.units import TO_MM
-from ..inverse.arm_surface import outer_radius
 from ..robots.pieces import Series, extremes
 from ..robots.tubes import Tube, stretches
 from ..typing import Array

@@ -12,13 +12,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..bodies.obstacles import Obstacle
 from ..display import Displayed
 from ..equilibrium.batch import joint_arrays
 from ..equilibrium.continuation import Family, SampledJointPath
 from ..equilibrium.friction import FrictionEquilibrium, to_held_equilibrium
 from ..equilibrium.kinematics import forward_kinematics, under_load
 from ..equilibrium.problem import LOADED_DISCRETISATION
-from ..equilibrium.result import Equilibrium, refuse_friction, refuse_load
+from ..equilibrium.result import Equilibrium, refuse_contact, refuse_load
+from ..equilibrium.wall_contact import Walls
 from ..errors import InputError, SolveError, vector
 from ..robots.concentric import Friction
 from ..robots.limits import check_turn
@@ -29,6 +31,7 @@ from ..solvers.time_limit import LONG_TIME_LIMIT, TIME_LIMIT, limited
 from ..typing import Array, StatusEnum
 from .friction_path import segments_with_friction
 from .motion import Event, Snap, family_between, motion, segment
+from .wall_path import segments_among_walls
 
 T = TypeVar("T")
 
@@ -105,10 +108,10 @@ class Path(Displayed):
     def dense(self) -> tuple[PathStretch, ...]:
         """Parts between snaps over the number of the waypoint, from 1, with equilibria between the waypoints.
 
-        With friction it has the waypoints only, since states in between depend on the history.
+        With friction or among walls it has the waypoints only, since states in between depend on the history.
         """
         parts = stretches(self, np.arange(1.0, len(self.equilibria) + 1))
-        if self.equilibria[0].friction is not None:
+        if self.equilibria[0].friction is not None or self.equilibria[0].walls is not None:
             return parts
         return tuple(_refined(part, ends_in_snap=part is not parts[-1]) for part in parts)
 
@@ -178,7 +181,7 @@ def _refined(part: PathStretch, *, ends_in_snap: bool) -> PathStretch:
 @typed
 @small
 @limited
-def follow(
+def follow(  # noqa: PLR0913
     robot: Robot,
     rotations: ArrayLike,
     translations: ArrayLike | None = None,
@@ -186,6 +189,7 @@ def follow(
     start: Equilibrium | None = None,
     load: Load | None = None,
     friction: Friction | None = None,
+    walls: Sequence[Obstacle] = (),
     progress: Callable[[int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Path:
@@ -198,6 +202,7 @@ def follow(
         load: constant external load; a start without it is first loaded.
         friction: friction between the tubes; every state then depends on its history. A start with friction continues
             its history. One without has none, like a robot after vibration.
+        walls: bodies that the arm cannot enter, as of `forward_kinematics`; not with friction.
         progress: called with the number of each waypoint that is reached.
         time_limit: maximum run time, s.
 
@@ -215,6 +220,14 @@ def follow(
         (3, 0)
     """
     joints = np.concatenate(checked_waypoints(robot, rotations, translations), axis=1)
+    if walls:
+        if friction is not None and not friction.trivial:
+            raise InputError("walls and friction between the tubes are both given; together they are not supported")
+        first = start or forward_kinematics(robot, *np.split(joints[0], 2), load=load, walls=walls)
+        states_among, snaps_among = _collect(
+            segments_among_walls(first, joints, Walls(robot, tuple(walls), load)), progress
+        )
+        return Path(tuple(states_among), snaps_among)
     if friction is not None and not friction.trivial:
         states, snaps = _collect(segments_with_friction(robot, joints, friction, start, load), progress)
         return Path(HeldEquilibria(robot, states), snaps)
@@ -255,7 +268,7 @@ def _start(
         raise InputError(f"{name} has margin {first.margin:.3g}; it must be a stable equilibrium (margin above 0)")
     if load is None:
         refuse_load(first)
-    refuse_friction(first)
+    refuse_contact(first)
     if load is not None and first.load != load:
         first = under_load(first, load)
     current = np.concatenate([first.rotations, first.translations])

@@ -36,7 +36,7 @@ from ..equilibrium.friction import (
 )
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.problem import check_load, loading_of
-from ..equilibrium.result import Equilibrium, refuse_friction
+from ..equilibrium.result import Equilibrium, refuse_contact
 from ..errors import InputError, SolveError
 from ..robots.concentric import Friction
 from ..robots.eccentric import BundleRobot
@@ -388,7 +388,7 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     """
     robot = equilibrium.robot
     validate_friction(robot, friction)
-    refuse_friction(equilibrium)
+    refuse_contact(equilibrium)
     if isinstance(robot, BundleRobot):
         return _bundle_band(equilibrium, friction)
     shift, load = tuple(equilibrium.translations.tolist()), equilibrium.load or Load()

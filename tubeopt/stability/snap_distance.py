@@ -63,7 +63,7 @@ from ..equilibrium.jacobian import compiled_motion, compiled_turn
 from ..equilibrium.kinematics import point_of
 from ..equilibrium.member import discretisation_of, sample_rotation
 from ..equilibrium.problem import reduced_problem
-from ..equilibrium.result import Equilibrium, refuse_friction
+from ..equilibrium.result import Equilibrium, refuse_contact
 from ..errors import InputError, positive
 from ..robots.eccentric import BundleRobot
 from ..solvers.blas import small
@@ -573,7 +573,7 @@ def proved_turn(equilibrium: Equilibrium, most: float, precision: float = 1.0) -
 def _distance(equilibrium: Equilibrium, limit: float, precision: float = PRECISION) -> SnapDistance:
     """Snap distance, or `limit` (rad) if that is smaller; errors as of `snap_distance`."""
     start_time, robot = perf_counter(), equilibrium.robot
-    refuse_friction(equilibrium)
+    refuse_contact(equilibrium)
     if not equilibrium.stable:
         raise InputError(f"equilibrium has a margin of {equilibrium.margin:.3g}; it must be above 0")
     load = equilibrium.load

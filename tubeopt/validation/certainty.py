@@ -23,12 +23,12 @@ import scipy
 from ..arguments import typed
 from ..bodies.obstacles import Scene
 from ..display import Displayed
+from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.directions import PARAMETERS
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, without_unit_warnings
 from ..files.field_metadata import form, unit
-from ..inverse.arm_surface import ArmSurface
 from ..physics.shape import hat
 from ..robots.assembly import DIMENSIONS, dimensions_of
 from ..robots.calibration import Calibration, PathBounds, Posterior

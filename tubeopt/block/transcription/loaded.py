@@ -20,6 +20,7 @@ B (R'm)_xy to dW/du, where R is the Bishop frame, and each moment twists its tub
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -520,11 +521,14 @@ def integration_to(problem: LoadedProblem, s: float) -> Array:
     return np.asarray(weight)
 
 
-def compliance(problem: LoadedProblem, state: LoadedState, s: float, tube: int) -> Array:
+def compliance(
+    problem: LoadedProblem, state: LoadedState, s: float, tube: int, responds: Callable[[Array], Array] | None = None
+) -> Array:
     """Compliance (6, 6) at arc length s: translation (m) and rotation (rad) by a dead force (N) and moment (N m) there.
 
     All are in world axes. The axial part of the moment twists `tube`, whose rotation is that of the compliance. An
-    element ends at s.
+    element ends at s. `responds` returns the motion (X, R) by forces (X, R) on the unknowns, where it is not that of
+    the Hessian: with contacts that stay closed.
     """
     orientation, weight = state.orientation, integration_to(problem, s)
     element = int(np.searchsorted(problem.mesh.start, s - END))
@@ -532,7 +536,7 @@ def compliance(problem: LoadedProblem, state: LoadedState, s: float, tube: int) 
     twist, by_u = tube_turn(problem.torsion, tube, element), position_slopes(orientation, weight)
     slopes = np.concatenate([by_u, orientation.turn_slope(element)]) @ state.curvature_slope
     slopes[3:, : problem.torsion.size] += np.outer(tangent, twist.row)
-    response = np.linalg.solve(state.hessian, slopes.T)
+    response = np.linalg.solve(state.hessian, slopes.T) if responds is None else responds(slopes.T)
     out = slopes @ response
     # Twist by a torque that z does not determine: of the added moment, and of those of the load as the arm turns.
     out[3:, 3:] += twist.rest * np.outer(tangent, tangent)

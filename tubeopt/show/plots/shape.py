@@ -151,6 +151,7 @@ def draw_scenes(
     scenes = [
         PlotScene(
             [DrawnArm(equilibrium), *(DrawnArm(ghost, GHOST_OPACITY) for ghost in some)],
+            bodies=() if equilibrium.walls is None else equilibrium.walls.bodies,
             targets=targets,
             detail=PRINTED,
             plate=True,

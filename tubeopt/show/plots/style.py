@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.files import atomic_write
-from ...files.units import TO_MM
+from ...files.units import TO_MILLI, TO_MM
 from ...typing import Array
 from ..formatting import in_a_word, tip_text
 from ..page import FAINT as FAINT
@@ -267,9 +267,12 @@ def caption(equilibrium: Equilibrium, title: str = "", *, narrow: bool = False) 
     verdict = f"{margin}, {word}" if word in ("unstable", "at a snap") else margin
     verdict = "margin unknown" if np.isnan(equilibrium.margin) else verdict
     state = [f"tip ({millimetres(equilibrium.tip_position)}) mm", verdict]
-    load = "" if equilibrium.load is None else f"load: {load_text(equilibrium.load)}"
+    load = "" if equilibrium.given_load is None else f"load: {load_text(equilibrium.given_load)}"
     # Only a hyphen in front of a number that begins a word is a minus: names such as "A-1" keep theirs.
     more = [re.sub(r"(?<![\w.])-(?=\d)", "\N{MINUS SIGN}", load)] if load else []
+    if equilibrium.walls is not None and equilibrium.walls.contacts:
+        forces = [number(TO_MILLI * contact.size, 3) for contact in equilibrium.walls.contacts]
+        more.append(f"contact with walls: {', '.join(forces)} mN")
     if tip := tip_text(equilibrium.robot, equilibrium.tube_end):
         more.append(f"the tip is {tip}")
     if narrow:

@@ -11,12 +11,12 @@ import numpy as np
 
 from ...bodies.frames import Frame, Plane
 from ...bodies.obstacles import Obstacle, nearest_distance
+from ...equilibrium.arm_surface import ArmSurface
 from ...equilibrium.kinematics import forward_kinematics
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError
 from ...files.files import atomic_write
 from ...files.units import TO_MM
-from ...inverse.arm_surface import ArmSurface
 from ...planning import ArmsPlan, Trajectory
 from ...runs.plan_study import VerifiedTrajectory
 from ...typing import Array

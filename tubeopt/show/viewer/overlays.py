@@ -10,10 +10,10 @@ import numpy as np
 
 from ...bodies.frames import Plane
 from ...bodies.obstacles import Obstacle, nearest_distance
+from ...equilibrium.arm_surface import ArmSurface
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError, SolveError, import_extra
 from ...files.units import TO_MM
-from ...inverse.arm_surface import ArmSurface
 from ...robots.robot import Robot
 from ...typing import Array
 from ..surfaces import Part, SampledCentreline, Surface, plate_part, plate_radius, two_of_four

@@ -9,9 +9,9 @@ import numpy as np
 
 from ..block.transcription.arm import between, cubic
 from ..bodies.obstacles import ClearanceMonitor, Scene
-from ..equilibrium.result import Equilibrium
 from ..robots.robot import Robot
 from ..typing import Array, Index, Mask
+from .result import Equilibrium
 
 # Half a millimetre on an arm of 200 mm; what lies between two points is bounded by the arm's bend, see `_at_least`.
 FINE = 400

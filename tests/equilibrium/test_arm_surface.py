@@ -15,10 +15,10 @@ from tests.inverse_targets import reachable
 from tubeopt import IkSession, InverseOptions, forward_kinematics, inverse_kinematics, load_robot
 from tubeopt.bodies.corridors import Corridor, MeshObstacle
 from tubeopt.bodies.obstacles import Box, Capsule, ClearanceMonitor, HalfSpace, Obstacle, Scene, Sphere
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.equilibrium.jacobian import compiled_slopes
 from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse import closest, multistart
-from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of
 from tubeopt.robots.robot import Robot
