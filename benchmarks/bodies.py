@@ -29,8 +29,8 @@ from tubeopt.bodies.corridors import MeshObstacle
 from tubeopt.bodies.obstacles import Obstacle, Sphere
 from tubeopt.control.command import Command, ServoOptions
 from tubeopt.control.servo import Servo
-from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 
 COUNTS, CLOUDS = (0, 1, 10, 100, 1000, 10000), (10, 100, 1000)

@@ -36,8 +36,8 @@ from tubeopt.control.c_library import c_library, save_c_library
 from tubeopt.control.command import Command, ServoOptions, Why
 from tubeopt.control.estimator import BaseReading, EstimatorOptions, StateEstimator, TipReading
 from tubeopt.control.servo import Servo
-from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.robot import Robot
 from tubeopt.solvers.compiled.binding import solve_compiled

@@ -27,9 +27,9 @@ from tubeopt import (
     inverse_kinematics,
 )
 from tubeopt.bodies.obstacles import Scene, Sphere
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.equilibrium.batch import solved_batch
 from tubeopt.inverse import joint_path, multistart
-from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.gauss_newton import reach
 from tubeopt.inverse.goal import pose_question, unit_vector

@@ -11,8 +11,8 @@ import pytest
 from tests.examples import CONFIGS, DEG, PIECES, THESIS, TWO_TUBE, eccentric_robot
 from tubeopt import EccentricRobot, find_snap, forward_kinematics, load_robot, verify_trajectory
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Scene, Sphere, nearest_distance
-from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.inverse.joints import joint_space
 from tubeopt.planning import trajectory_trace
 from tubeopt.planning.branch import branch

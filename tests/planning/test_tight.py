@@ -32,8 +32,8 @@ from tubeopt import (
 )
 from tubeopt.bodies.corridors import Corridor
 from tubeopt.bodies.obstacles import Box, Capsule, HalfSpace, Obstacle, Scene, Sphere
-from tubeopt.inverse import search
 from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.inverse import search
 from tubeopt.inverse.clock import Clock
 from tubeopt.inverse.joints import joint_space
 from tubeopt.inverse.posture import posture_of

@@ -25,8 +25,8 @@ from tubeopt import (
     verify_trajectory,
 )
 from tubeopt.bodies.obstacles import Sphere, scene_of
-from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.equilibrium.result import Equilibrium
 from tubeopt.planning.loaded_branch import CHORD_ERROR, _Bounds, _Displacement, loaded_branch
 from tubeopt.planning.loaded_sections import DeadLoad, LoadedArms, LoadedIntervals
 from tubeopt.planning.sections import PARTS, SHAPE_ERROR, Constants

@@ -13,8 +13,8 @@ from tubeopt import ConcentricRobot, SolveError, Tube, forward_kinematics, snap_
 from tubeopt.bodies.obstacles import scene_of
 from tubeopt.design import Avoid
 from tubeopt.design.requirements import of_kind
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.files.yaml_file import to_yaml
-from tubeopt.inverse.arm_surface import ArmSurface
 from tubeopt.robots.calibration import Posterior
 from tubeopt.runs.design_study import DesignAnswer, DesignStudy
 from tubeopt.runs.real_robot import Judged, Reserve, kept_by_real_robot

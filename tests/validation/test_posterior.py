@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from tubeopt import ConcentricRobot, InputError, Tube, forward_kinematics, load_robot
 from tubeopt.bodies.obstacles import scene_of
 from tubeopt.cli.app import main
-from tubeopt.files.yaml_file import to_yaml
 from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.files.yaml_file import to_yaml
 from tubeopt.robots.calibration import Posterior
 from tubeopt.runs.plan_study import Required, load_plan_study, of_real_robot
 from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty, validate

@@ -72,7 +72,7 @@ LONGEST_ADVANCE = 2e-3
 SHORTEST_ADVANCE = 1e-6
 """Smallest advance (m) of the walls; where a smaller one would be needed, the branch ends."""
 
-NEWTON_STEPS = 25
+NEWTON_STEPS = 14
 """Largest number of Newton steps of one solve; from a neighbouring solution six to ten suffice."""
 
 LARGEST_TURN = 0.5
@@ -92,7 +92,7 @@ LAST_CHANGE, STALLED = 1e-9, 1e-7
 changes no longer decrease: between two elements the arm has a kink of their error, which a contact may not pass."""
 
 ON_THE_WAY = 1e-5
-"""As LAST_CHANGE, for equilibria from which others are solved: Newton's method squares it in the next step."""
+"""Last change for equilibria from which others are solved: Newton's method squares it in the next step."""
 
 LONGEST_TURN = 0.1
 """Largest rotation (rad) of a joint from one equilibrium of a path to the next."""
@@ -103,8 +103,8 @@ SHORTEST_STEP = 2.0**-16
 SMALL_MOTION, FASTER = 0.02, 4.0
 """Motion (rad) of the arm in a step that is taken as small, and the largest growth of its rate from step to step."""
 
-AT_REST, MOST_FALLS = 1e-6, 200
-"""Motion (rad) in a step of a fall below which the arm rests, and the largest number of steps."""
+AT_REST, MOST_FALLS = 1e-3, 200
+"""Motion (rad) in a step of a fall below which the arm may rest, and the largest number of steps."""
 
 BLOCKED = "the walls block the arm: it stays on its branch only if they are moved back by"
 
@@ -590,7 +590,7 @@ def landed(lost: Solved) -> Solved:
             rate *= 4
             continue
         at_rest = following.distance(current) < AT_REST
-        current, rate = following, rate / 2
+        current, rate = following, rate / 4
         if at_rest:
             final = current.complete(0.0)
             if final is not None and final.margin > 0:
