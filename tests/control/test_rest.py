@@ -17,7 +17,7 @@ from tubeopt.control.command import Command, ServoOptions, ServoStep, Why
 from tubeopt.control.crtk import CrtkRobot
 from tubeopt.control.lookahead import PredictiveServo
 from tubeopt.control.servo import Servo
-from tubeopt.inverse.arm_surface import ArmSurface
+from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.inverse.joints import joint_space
 from tubeopt.solvers.compiled.library import compile_to, compiler
 
