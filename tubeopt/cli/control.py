@@ -9,11 +9,12 @@ import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from ..control.c_binding import servo_of
 from ..control.c_library import c_library, save_c_library
@@ -23,22 +24,61 @@ from ..control.server import HOST, RobotServer, ServerOptions, check_installed
 from ..files.checked import Entry, Positive
 from ..files.field_metadata import Typical
 from ..files.fields import keys_from, values
+from ..runs.real_robot import check_confidence
 from ..runs.robot_keys import Posed, RobotPath, rewording_joints
 from ..runs.surroundings_file import Bodies
 from ..show.command_report import Served
 from ..show.reports import report
+from ..validation.floor import servo_floor
 from .flags import study_command
 from .interruption import handling_interruption
 from .output import OF_PICTURES, Output, can_be_saved, present, print_address
+
+# --- floor of the servo -----------------------------------------------------------------------------------------------
+
+
+FLOORS = ("min_margin", "min_snap_distance")
+"""Fields of `ServoOptions` that are floors."""
+
+
+class Floored(Entry):
+    """Floor of a servo, raised for the real robot."""
+
+    robot: RobotPath
+    confidence: Positive | None = Field(
+        None,
+        gt=0.5,
+        lt=1,
+        description="raise min_snap_distance so that the real robot keeps it at this probability, estimated from the "
+        "posterior of its file; default not raised",
+        examples=["P"],
+    )
+
+    @model_validator(mode="after")
+    def _is_known(self) -> Self:
+        check_confidence(self.confidence, self.robot)
+        if self.confidence is not None and getattr(self, "min_snap_distance_deg", None) is None:
+            raise ValueError("gives confidence without min_snap_distance_deg; the margin is no distance to a snap")
+        return self
+
+    def raised(self, options: ServoOptions) -> ServoOptions:
+        """Options with the floor of the calibrated robot with which the real one keeps theirs."""
+        confidence = self.si("confidence")
+        if confidence is None:
+            return options
+        assert options.min_snap_distance is not None
+        floor = servo_floor(self.robot, options.min_snap_distance, confidence=confidence)
+        return replace(options, min_snap_distance=floor)
+
 
 # --- C library --------------------------------------------------------------------------------------------------------
 
 
 @keys_from(c_library, "prefix", "loads")
-class ExportEntry(Entry):
+@keys_from(ServoOptions, *FLOORS)
+class ExportEntry(Floored):
     """Robot to export as a C library."""
 
-    robot: RobotPath
     c: str = Field(description="directory to write the C library to", examples=["DIR"])
 
 
@@ -52,12 +92,15 @@ def export(study: ExportEntry, output: Output, robot: str) -> None:
     """Write a C99 library of the robot: forward kinematics, derivatives, margin, compliance, servo, snap guard.
 
     It allocates no memory, has no global state, and every call takes bounded time. It supports up to six tubes,
-    concentric, eccentric or a bundle. --loads adds loads for concentric robots.
+    concentric, eccentric or a bundle. --loads adds loads for concentric robots. The header has the floors of margin and
+    snap distance as constants; --confidence raises them for the real robot.
     """
     folder = Path(study.c)
     can_be_saved(output.out)
     can_be_saved(folder)
-    library = c_library(study.robot, name=Path(robot).stem, **values(c_library, study, "prefix", "loads"))
+    options = study.raised(ServoOptions(**values(ServoOptions, study, *FLOORS)))
+    more = values(c_library, study, "prefix", "loads")
+    library = c_library(study.robot, name=Path(robot).stem, options=options, **more)
     present(report(library), output, written=save_c_library(library, folder))
 
 
@@ -83,7 +126,7 @@ SERVER = ("port", "period", "publish", "slicer_port")
 
 @keys_from(ServerOptions, *SERVER)
 @keys_from(ServoOptions, *SERVO)
-class ServeEntry(Posed):
+class ServeEntry(Posed, Floored):
     """Robot to serve, with its start and its limits."""
 
     obstacles: Bodies = Field(
@@ -128,7 +171,7 @@ def serve(study: ServeEntry, output: Output) -> None:
     def _compiling() -> None:
         _tell("compiling", f"compiling {robot.name or 'the robot'} for this machine, unless it was served before")
 
-    options = ServoOptions(**values(ServoOptions, study, *SERVO))
+    options = study.raised(ServoOptions(**values(ServoOptions, study, *SERVO)))
     with rewording_joints(start=("--rotations-deg", "--translations-mm")):
         servo = servo_of(robot, study.joints, obstacles=study.obstacles, options=options, building=_compiling)
     server = RobotServer(CrtkRobot(servo, watchdog=study.si("watchdog_s")), how, tell=_tell)

@@ -86,13 +86,21 @@ class CLibrary(Displayed):
 
 
 @typed
-def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loads: bool = False) -> CLibrary:
+def c_library(
+    robot: Robot,
+    *,
+    name: str = "robot",
+    prefix: str = "tubeopt",
+    loads: bool = False,
+    options: ServoOptions | None = None,
+) -> CLibrary:
     """The C library of a robot: of concentric tubes, of one arc each or made of pieces, of eccentric ones, or a bundle.
 
     Args:
         name: what the comments call it.
         prefix: prefix of all C names; use a different one for each robot of a program.
         loads: include tip force and weight.
+        options: limits of the servo; its floors are constants of the header, and all are in the URDF.
 
     Raises:
         InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the centreline, or of
@@ -107,7 +115,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
     extra = {"tubeopt_load.c": loads_source(robot, name, _shifts(space))} if loads else {}
     cases = _cases(space)
     texts = {
-        "tubeopt_robot.h": header_text(name, robot.n_tubes, loads=loads, centred=centred),
+        "tubeopt_robot.h": header_text(name, robot.n_tubes, loads=loads, centred=centred, options=options),
         "tubeopt_robot.c": _source(robot, space, name),
         "CMakeLists.txt": _filled("CMakeLists.txt", name=name, load=" tubeopt_load.c" if loads else ""),
         "README.md": _filled("README.md", name=name, version=__version__, load=" tubeopt_load.c" if loads else ""),
@@ -115,7 +123,7 @@ def c_library(robot: Robot, *, name: str = "robot", prefix: str = "tubeopt", loa
         "test.c": _filled("test.c", CASES=_rows(cases), LOADED=_rows(loaded_cases(robot, cases[:8]) if loads else ())),
     }
     files = {file.replace("tubeopt", prefix): _renamed(text, prefix) for file, text in (texts | extra).items()}
-    files[f"{prefix}_robot.urdf"] = robot_description(robot)
+    files[f"{prefix}_robot.urdf"] = robot_description(robot, options)
     return CLibrary(robot, name, prefix, files, loads)
 
 
@@ -124,9 +132,12 @@ def _is_centred(robot: Robot) -> bool:
     return robot.fixed_sections and not robot.assembly(robot.home_translations).eccentric
 
 
-def header_text(name: str, n: int, *, loads: bool, centred: bool = True) -> str:
+def header_text(name: str, n: int, *, loads: bool, centred: bool = True, options: ServoOptions | None = None) -> str:
     """Text of the C header of a library for n tubes; `centred` if all are on the centreline."""
+    floors = options or ServoOptions()
     values = {
+        "min_margin": f"{floors.min_margin:.9g}",
+        "min_snap_distance": f"{floors.min_snap_distance or 0.0:.9g}",
         "loads": str(int(loads)),
         "compliance": str(int(centred)),
         "bodies": str(int(centred)),
@@ -450,14 +461,18 @@ def along_tubes(robot: Robot, arm: Any, tubes: NDArray[np.intp], lengths: Array)
 
 
 @typed
-def robot_description(robot: Robot) -> str:
-    """URDF text of a robot that moves, for ROS.
+def robot_description(robot: Robot, options: ServoOptions | None = None) -> str:
+    """URDF text of a robot that moves, for ROS, with limits of its servo.
 
     The joints translation_1, ... and rotation_1, ... move the carriages. The links of the tubes and the tip are on
     floating joints: whoever solves the equilibrium broadcasts their frames. The tag `ros2_control` loads the hardware
     interface tubeopt_hardware/TubeRobot.
     """
-    root, n, rates = Element("robot", name=(robot.name or "robot").replace(" ", "_")), robot.n_tubes, ServoOptions()
+    root, n, rates = (
+        Element("robot", name=(robot.name or "robot").replace(" ", "_")),
+        robot.n_tubes,
+        options or ServoOptions(),
+    )
     low, high = joint_space(robot).ranges
     SubElement(root, "link", name="plate")
     for i, tube in enumerate(robot.tubes):
@@ -481,7 +496,7 @@ def robot_description(robot: Robot) -> str:
         _joint(root, f"{link.name}_pose", "floating", "plate")
     SubElement(root, "link", name="tip")
     _joint(root, "tip_pose", "floating", "plate")
-    _add_ros2_control(root, robot)
+    _add_ros2_control(root, robot, rates)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
 
@@ -499,9 +514,9 @@ def _joint(root: Element, name: str, kind: str, parent: str) -> Element:
     return joint
 
 
-def _add_ros2_control(root: Element, robot: Robot) -> None:
+def _add_ros2_control(root: Element, robot: Robot, o: ServoOptions) -> None:
     """Add the joints and the sensor of the ROS 2 hardware interface, which starts at home."""
-    system, o = SubElement(root, "ros2_control", name=root.get("name", ""), type="system"), ServoOptions()
+    system = SubElement(root, "ros2_control", name=root.get("name", ""), type="system")
     hardware, space, n = SubElement(system, "hardware"), joint_space(robot), robot.n_tubes
     SubElement(hardware, "plugin").text = "tubeopt_hardware/TubeRobot"
     order = [(demand.ahead, demand.behind, demand.distance) for demand in demands(robot)]

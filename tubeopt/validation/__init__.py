@@ -5,6 +5,7 @@ from .certainty import RealRobots, Uncertainty, path_bounds, real_robots, uncert
 from .comparison import ErrorGroup, ErrorSummary, ErrorTable, Validation, group_errors, validate
 from .effects import EFFECTS, KINDS, PER_RECORDING
 from .fitting import Estimate, Fit, FitOptions, fit
+from .floor import servo_floor
 from .force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
 from .identifiability import Placement, where_to_measure
 from .measurements import JointLog, Measurements, Parity
@@ -47,6 +48,7 @@ __all__ = [
     "path_bounds",
     "real_robots",
     "register",
+    "servo_floor",
     "uncertainty",
     "validate",
     "where_to_measure",

@@ -14,7 +14,8 @@ int main(void) {
     printf("tip (mm): %.4f %.4f %.4f, margin %.4f\n", 1e3 * pose.position[0], 1e3 * pose.position[1],
            1e3 * pose.position[2], pose.margin);
     double centre[3] = {pose.position[0] - 2e-3, pose.position[1], pose.position[2]};
-    tubeopt_command command = {.step = 1e-3, .speed = 0.05, .turn_rate = 6, .shift_rate = 0.1, .min_margin = 0.1};
+    tubeopt_command command = {.step = 1e-3, .speed = 0.05, .turn_rate = 6, .shift_rate = 0.1,
+                               .min_margin = TUBEOPT_MIN_MARGIN, .min_snap_distance = TUBEOPT_MIN_SNAP_DISTANCE};
     for (int k = 0; k <= 2000; k++) {
         double turn = 2 * 3.14159265358979323846 * k / 2000;
         command.position[0] = centre[0] + 2e-3 * cos(turn);

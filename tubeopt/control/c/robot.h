@@ -24,6 +24,10 @@ extern "C" {
 #define TUBEOPT_MOST_AWAY {most_back} /* largest distance of a tip target from the plate, in lengths of the longest tube */
 #define TUBEOPT_MOST_NUMBER {most_number} /* limit of all other numbers, in SI units */
 
+/* Floors for tubeopt_command.min_margin and .min_snap_distance, as exported. */
+#define TUBEOPT_MIN_MARGIN {min_margin}
+#define TUBEOPT_MIN_SNAP_DISTANCE {min_snap_distance} /* rad; 0: the margin counts */
+
 typedef struct tubeopt_memory tubeopt_memory;
 
 typedef enum {
