@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import tubeopt
-from tests.examples import CONFIGS, MM, THESIS
+from tests.examples import CONFIGS, CRL, MM, THESIS
 from tubeopt import bodies, design, planning, stability, validation, workspaces
 from tubeopt.block.equilibrium_block import EquilibriumBlock
 from tubeopt.bodies.frames import Frame
@@ -42,6 +42,14 @@ Call = tuple[Callable[..., Any], Callable[[], dict[str, Any]]]
 @cache
 def home() -> tubeopt.Equilibrium:
     return tubeopt.forward_kinematics(PAIR, [0.0, 0.3])
+
+
+@cache
+def crl_snap() -> tubeopt.Snap:
+    rest = ([0.0, 0.0, 0.0], None)
+    snap = tubeopt.find_snap(CRL, rest, ([2 * np.pi, 0.0, 0.0], None))
+    assert snap is not None
+    return snap
 
 
 @cache
@@ -97,6 +105,7 @@ CALLS: dict[str, Call] = {
     ),
     "find_stroke_force": (tubeopt.find_stroke_force, _joints(up_to=0.1)),
     "find_snap": (tubeopt.find_snap, lambda: {"robot": PAIR, "start": ([0, 0], None), "end": ([0, 0.1], None)}),
+    "snap_in_time": (tubeopt.snap_in_time, lambda: {"snap": crl_snap()}),
     "follow": (tubeopt.follow, _joints(rotations=[[0.0, 0.0], [0.0, 0.3]])),
     "trace_branch": (tubeopt.trace_branch, lambda: {"robot": PAIR, "start": [0, 0], "end": [0, 0.1]}),
     "energy_map": (tubeopt.energy_map, _joints(samples=5)),

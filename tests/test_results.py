@@ -29,6 +29,7 @@ from tubeopt import (
     Snap,
     SnapAssessment,
     SnapDistance,
+    SnapInTime,
     StabilityMap,
     Trajectory,
     Tube,
@@ -61,6 +62,7 @@ from tubeopt.stability.maps import MapStatus
 from tubeopt.stability.motion import SnapStatus
 from tubeopt.stability.snap_assessment import SnapAssessmentStatus
 from tubeopt.stability.snap_distance import SnapDistanceStatus
+from tubeopt.stability.snap_in_time import MotionEnd
 from tubeopt.typing import Result
 from tubeopt.validation.fitting import Fit, FitStatus
 from tubeopt.validation.force import ForceStatus
@@ -85,6 +87,7 @@ ANSWERS = (
     Trajectory,
     SnapAssessment,
     SnapDistance,
+    SnapInTime,
     Workspace,
 )
 
@@ -107,6 +110,7 @@ STATUSES = (
     Status,
     SnapAssessmentStatus,
     SnapDistanceStatus,
+    MotionEnd,
 )
 
 

@@ -25,6 +25,7 @@ from .show.plots.mold import plot_mandrel, plot_materials, plot_mold, plot_sprin
 from .show.plots.path import plot_path, plot_snap
 from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
 from .show.plots.sheets import plot_fabrication_sheet, plot_setup_sheet
+from .show.plots.snap_in_time import plot_snap_in_time
 from .show.plots.style import new_figure, picture, save_figure
 from .show.plots.trajectory import plot_arms, plot_checked, plot_section, plot_trajectory, save_film
 from .show.plots.tube_photo import plot_mark_sheet, plot_measured_tube
@@ -74,6 +75,7 @@ __all__ = [
     "plot_shapes",
     "plot_simulated_circles",
     "plot_snap",
+    "plot_snap_in_time",
     "plot_springback",
     "plot_stability_map",
     "plot_stock",

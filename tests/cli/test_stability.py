@@ -18,16 +18,19 @@ from tests.command_line import CRL, ROOT, THESIS, Run, answer, refused
 from tests.stability.robots import inner_and_middle
 from tubeopt import (
     ConcentricRobot,
+    InputError,
     JointLimits,
     SnapSearch,
     SolveError,
     find_snap,
     load_robot,
     snap_free_certificate,
+    snap_in_time,
     worst_certificate,
 )
 from tubeopt.runs import stability_studies
 from tubeopt.runs.study_file import load_study
+from tubeopt.show.plots import animate_snap
 from tubeopt.stability import ASSUMING
 
 COMMANDS = ["equilibria", "snap", "follow", "certify", "stability-map"]
@@ -543,3 +546,57 @@ def test_an_interrupted_picture_leaves_nothing_half_written(
     assert run("snap", THESIS, "--to-deg", "360,0,0", "--out", str(tmp_path)).code == 130
     saved(tmp_path, "snap.json")
     json.loads((tmp_path / "snap.json").read_text(encoding="utf-8"))
+
+
+# --- snap in time -----------------------------------------------------------------------------------------------------
+
+IN_TIME = (
+    "snap",
+    CRL,
+    "--to-deg",
+    "360,0,0",
+    "--in-time",
+    "--quasi-static-bending",
+    "--relaxation-us",
+    "20",
+    "--rates-deg-per-s",
+    "10000,0,0",
+)
+RATES = np.radians([1e4, 0.0, 0.0])
+
+
+def test_a_snap_in_time_is_shown_saved_and_drawn(run: Run, tmp_path: Path) -> None:
+    record = answer(run(*IN_TIME, "--duration-ms", "1.5", "--json"))["in_time"]
+    robot = load_robot(CRL)
+    snap = find_snap(robot, (np.zeros(3), None), (np.radians([360, 0, 0]), None))
+    assert snap is not None
+    moving = snap_in_time(snap, bending_inertia=False, relaxation=2e-5, duration=1.5e-3, rates=RATES)
+    assert record["duration_ms"] == pytest.approx(1e3 * moving.duration)
+    assert record["peak_speed_m_per_s"] == pytest.approx(moving.peak_speed)
+    assert record["swept_area_mm2"] == pytest.approx(1e6 * moving.swept_area)
+    assert record["status"] == str(moving.status)
+    outcome = run(*IN_TIME, "--duration-ms", "1.5", "--out", str(tmp_path / "out"))
+    assert outcome.code == 0
+    assert "time of the snap" in one_line(outcome.out)
+    saved(tmp_path / "out", "snap.json", "snap.png", "snap_in_time.csv", "snap_in_time.png")
+    header, *table = (tmp_path / "out" / "snap_in_time.csv").read_text().splitlines()
+    assert header.startswith("time_ms,tip_x_mm,tip_y_mm,tip_z_mm,tip_rotation_1_deg")
+    assert len(table) == moving.statistics.steps + 1
+    last = [float(cell) for cell in table[-1].split(",")]
+    np.testing.assert_allclose(last[1:4], 1e3 * moving.tip_position[-1], rtol=1e-6)
+
+
+def test_a_film_of_a_snap_in_time(tmp_path: Path) -> None:
+    snap = find_snap(load_robot(CRL), (np.zeros(3), None), (np.radians([360, 0, 0]), None))
+    assert snap is not None
+    moving = snap_in_time(snap, bending_inertia=False, relaxation=2e-5, duration=1.5e-3, rates=RATES)
+    moving = replace(moving, arms=moving.arms[::40], arm_times=moving.arm_times[::40])
+    assert animate_snap(moving, tmp_path / "snap.gif").read_bytes().startswith(b"GIF")
+    with pytest.raises(InputError, match=r"must end in \.gif or \.mp4"):
+        animate_snap(moving, tmp_path / "snap.avi")
+
+
+@pytest.mark.parametrize("flag", ["--relaxation-us=2", "--duration-ms=3", "--rates-deg-per-s=1,0,0"])
+def test_flags_of_a_snap_in_time_need_it(run: Run, flag: str) -> None:
+    (message,) = refused(run("snap", CRL, "--to-deg", "360,0,0", flag))
+    assert "it is for a snap in time" in message

@@ -29,7 +29,9 @@ _CONTEXT = Context(prec=60)
 _MINUTE = Decimal(60)
 
 UNITS = {
-    **dict.fromkeys(["rad", "rad_per_m", "per_m", "m", "s", "m_per_s2", "Hz", "N", "V", "A", "W", "kg"], Decimal(1)),
+    **dict.fromkeys(
+        ["rad", "rad_per_m", "per_m", "m", "s", "m_per_s", "m_per_s2", "Hz", "N", "V", "A", "W", "kg"], Decimal(1)
+    ),
     **dict.fromkeys(["K", "degC", "per_K", "K_per_s", "W_per_m", "W_per_m_K", "W_per_m2_K"], Decimal(1)),
     **dict.fromkeys(["J", "J_per_m", "kg_per_m3", "J_per_kg_K", "ohm_m", "ohm_m2", "A2_s"], Decimal(1)),
     **dict.fromkeys(["mm", "mm_per_s", "mm_per_s2", "mm_per_N", "mJ", "mohm", "g", "g_per_m", "ms"], Decimal("1e-3")),
@@ -85,7 +87,9 @@ SIGNS = {
     "mN_per_m": "mN/m",
     "g_per_m": "g/m",
     "mN_m_per_m": "mN m/m",
+    "m_per_s": "m/s",
     "m_per_s2": "m/s²",
+    "mm2": "mm²",
     "deg_per_s": "deg/s",
     "mm_per_s": "mm/s",
     "mm_per_N": "mm/N",

@@ -228,11 +228,16 @@ def masses(tubes: Sequence[Tube], load: Load) -> Array:
     """Masses (n,) per length of tubes, kg/m; zeros if the load has no gravity."""
     if load.gravity is None or not any(load.gravity):
         return np.zeros(len(tubes))
+    return known_masses(tubes, "gravity is given")
+
+
+def known_masses(tubes: Sequence[Tube], why: str) -> Array:
+    """Masses (n,) per length of tubes, kg/m; raises InputError, which begins with `why`, if one is unknown."""
     known = [mass_per_length(tube) for tube in tubes]
     for i, mass in enumerate(known, start=1):
         if mass is None:
             raise InputError(
-                f"gravity is given, but tube {i} has neither a material density nor a mass_per_length; give one of them"
+                f"{why}, but tube {i} has neither a material density nor a mass_per_length; give one of them"
             )
     return np.array(known, dtype=float)
 

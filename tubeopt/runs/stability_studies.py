@@ -13,7 +13,7 @@ from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.readings import to_model
 from ..equilibrium.result import Equilibrium
-from ..files.checked import Positive, Whole, in_file
+from ..files.checked import NotNegative, Positive, Whole, in_file
 from ..files.field_metadata import Typical, form, key, unit
 from ..robots.concentric import friction_of
 from ..robots.file import Waypoints, load_waypoints
@@ -26,6 +26,7 @@ from ..stability import (
     Path,
     Snap,
     SnapAssessment,
+    SnapInTime,
     StabilityMap,
     WorstCertificate,
     assess_snapping,
@@ -35,10 +36,12 @@ from ..stability import (
     find_stroke_force,
     follow,
     snap_free_certificate,
+    snap_in_time,
     stability_map,
     worst_certificate,
 )
 from ..stability.certificate import ROUNDING
+from ..stability.snap_in_time import RELAXATION
 from ..typing import Array, Progress
 from ..validation.certainty import certificate_bounds
 from .robot_keys import (
@@ -90,6 +93,8 @@ class StraightMotion(Displayed):
     snap: Annotated[Snap | None, "the snap; null without one"]
     arrived: Annotated[Equilibrium | None, "equilibrium at the end of a path without a snap"]
     """Equilibrium at the end of the motion; None if the robot snaps."""
+    in_time: Annotated[SnapInTime | None, "the snap in time; absent unless requested"] = None
+    """None unless requested, and without a snap."""
 
 
 WaypointsPath = Annotated[
@@ -112,6 +117,39 @@ class SnapStudy(Loaded, Timed):
     to_deg: OnePerTube | None = Field(None, description="rotations at the end; default those of the start")
     from_mm: OnePerTube | None = Field(None, description=f"translations at the start; default {HOME}")
     to_mm: OnePerTube | None = Field(None, description="translations at the end; default those of the start")
+    in_time: bool = Field(False, description="simulate the snap in time, with inertia and material damping")
+    quasi_static_bending: bool = Field(
+        False, description="in time: leave out the mass of the arm, so that only its tubes have inertia"
+    )
+    relaxation_us: Annotated[NotNegative | None, Typical(1e-8, 1e-3)] = Field(
+        None,
+        description=f"in time: relaxation time of the damping, loss factor over angular frequency; default "
+        f"{RELAXATION * 1e6:g}",
+    )
+    duration_ms: Annotated[Positive | None, Typical(1e-5, 10.0)] = Field(
+        None, description="in time: time to simulate; default one period of the slowest vibration after the snap"
+    )
+    rates_deg_per_s: OnePerTube | None = Field(
+        None, description="in time: rotation rates of the drives; default drives at rest"
+    )
+
+    @model_validator(mode="after")
+    def _needs_time(self) -> Self:
+        keys = "quasi_static_bending", "relaxation_us", "duration_ms", "rates_deg_per_s"
+        given = [key for key in keys if getattr(self, key) not in (None, False)]
+        if given and not self.in_time:
+            raise ValueError(f"{given[0]} is given without in_time; it is for a snap in time")
+        return self
+
+    def _in_time(self, snap: Snap) -> SnapInTime:
+        relaxation = self.si("relaxation_us")
+        return snap_in_time(
+            snap,
+            bending_inertia=not self.quasi_static_bending,
+            relaxation=RELAXATION if relaxation is None else relaxation,
+            rates=self.si("rates_deg_per_s"),
+            duration=self.si("duration_ms"),
+        )
 
     def _ends(self) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
         start = self.si("from_deg"), self.si("from_mm")
@@ -132,7 +170,7 @@ class SnapStudy(Loaded, Timed):
         load = self.external_load
         snap = find_snap(self.robot, start, end, load=load)
         if snap is not None:
-            return StraightMotion(self.robot, start, end, snap, None)
+            return StraightMotion(self.robot, start, end, snap, None, self._in_time(snap) if self.in_time else None)
         # Equilibria are not unique: the one at the end depends on the path.
         motion = follow(self.robot, [start[0], end[0]], [start[1], end[1]], load=load)
         return StraightMotion(self.robot, start, end, None, motion.equilibria[-1])

@@ -31,6 +31,7 @@ from ..stability import (
     LoadLimit,
     Snap,
     SnapAssessment,
+    SnapInTime,
     StabilityMap,
     WorstCertificate,
     WorstMargin,
@@ -45,7 +46,7 @@ from .plan_report import PROOF
 from .quantities import Quantity, described, line, of_field, rows
 from .report import Drawing, drawing, two_columns
 from .reports import report
-from .snap_report import FORCE, LIMIT, SNAP
+from .snap_report import FORCE, IN_TIME, LIMIT, SNAP
 from .surfaces import Part, plate_part, plate_radius, robot_parts
 from .workspace_report import LOSS
 
@@ -305,6 +306,7 @@ SUMMARIES: Mapping[type, Summary] = {
     ProblemSolution: Summary(PROBLEM),
     Proof: Summary(PROOF),
     Snap: Summary(SNAP, "path.plot_snap"),
+    SnapInTime: Summary(IN_TIME, "snap_in_time.plot_snap_in_time"),
     SnappingLoss: Summary(LOSS),
     StabilityMap: Summary(STABILITY_MAP, "maps.plot_stability_map"),
     Tube: Summary(TUBE),

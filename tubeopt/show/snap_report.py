@@ -20,7 +20,7 @@ from ..robots.file import joint_cells, joint_columns
 from ..robots.load import Load
 from ..robots.order import ends_inside, out_of_order
 from ..runs.stability_studies import Equilibria, LoadLimitResult, RobotMap, StraightMotion
-from ..stability import LoadLimit, Snap
+from ..stability import LoadLimit, Snap, SnapInTime
 from ..typing import Array
 from ..validation import ForceEstimate, ForceRecord
 from .formatting import counted, degrees, in_a_word, margin_text, millimetres, released, row, tip_number
@@ -75,6 +75,22 @@ SNAP = described(
     of_field(Snap, "after", of=STATE),
 )
 
+IN_TIME = described(
+    SnapInTime,
+    "duration peak_speed",
+    Quantity("energy_released_mJ", "energy released"),
+    of_field(SnapInTime, "swept_area"),
+    of_field(SnapInTime, "tip_path"),
+    Quantity("dissipated_mJ", "energy dissipated in the material until the end", lambda m: m.dissipated[-1]),
+    Quantity("drive_work_mJ", "work of the drives until the end", lambda m: m.drive_work[-1]),
+    "frequencies damping_ratios",
+    Quantity("simulated_ms", "simulated time", lambda m: m.time[-1], form=".3f"),
+    Quantity("steps", "number of time steps", lambda m: m.statistics.steps, form="d"),
+    "energy_error",
+    Quantity("status", "end of the motion, as a sentence", lambda m: str(m.status), label="in time",
+             text="{status}"),
+)  # fmt: skip
+
 STRAIGHT_MOTION = described(
     StraightMotion,
     Quantity("robot", "name of the robot", lambda w: w.robot.name),
@@ -87,6 +103,7 @@ STRAIGHT_MOTION = described(
     line("to", "rotations {to_deg:.9g} deg, translations {to_mm:.9g} mm"),
     of_field(StraightMotion, "snap", of=SNAP),
     of_field(StraightMotion, "arrived", label="tip at the end", text="{arrived[tip_position_mm]:.4f} mm", of=STATE),
+    of_field(StraightMotion, "in_time", of=IN_TIME, optional=True),
 )  # fmt: skip
 
 PATH = described(
@@ -172,13 +189,35 @@ class StraightMotionReport(Report[StraightMotion]):
     command = "snap"
     quantities = STRAIGHT_MOTION
     file = "snap.json"
-    drawn = (("snap", "shape.plot_shape", "arrived"), ("snap", "path.plot_snap", "snap"))
+    drawn = (("snap", "shape.plot_shape", "arrived"), ("snap", "path.plot_snap", "snap"),
+             ("snap_in_time", "snap_in_time.plot_snap_in_time", "in_time"))  # fmt: skip
 
     def table(self) -> Group:
         """The answer in words, then the numbers of the snap."""
         w = self.answer
         numbers = self.rows() + ([] if w.snap is None else rows(w.snap, SNAP))
+        numbers += [] if w.in_time is None else rows(w.in_time, IN_TIME)
         return Group(Text(f"{w.robot.name or 'the robot'} {motion_sentence(w)}"), two_columns("", numbers))
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write snap.json and, for a snap in time, snap_in_time.csv with a row per time step."""
+        paths, m = super().save(directory), self.answer.in_time
+        if m is None:
+            return paths
+        tips = [f"tip_rotation_{i + 1}_deg" for i in range(m.tip_rotations.shape[1])]
+        energies = ["kinetic_mJ", "potential_mJ", "dissipated_mJ", "drive_work_mJ"]
+        columns = ["time_ms", "tip_x_mm", "tip_y_mm", "tip_z_mm", *tips, *energies]
+        spent = np.column_stack([m.kinetic, m.potential, m.dissipated, m.drive_work])
+        table = np.column_stack(
+            [m.time * TO_MILLI, m.tip_position * TO_MM, np.degrees(m.tip_rotations), spent * TO_MILLI]
+        )
+        write_text(directory / "snap_in_time.csv", to_csv(columns, ([f"{v:.9g}" for v in each] for each in table)))
+        return [*paths, directory / "snap_in_time.csv"]
+
+    def films(self) -> dict[str, Drawing]:
+        """Film of a snap in time."""
+        m = self.answer.in_time
+        return {} if m is None else {"snap_in_time": drawing("snap_in_time.animate_snap", m)}
 
     def solids(self) -> dict[str, Equilibrium]:
         """Arms before and after the snap, or at the end of the path, to save as meshes."""

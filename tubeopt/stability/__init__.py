@@ -12,6 +12,7 @@ from .maps import StabilityMap, stability_map
 from .motion import Snap
 from .snap_assessment import ASSUMING, EccentricSnapAssessment, Finding, SnapAssessment, assess_snapping
 from .snap_distance import SnapDistance, least_snap_distance, snap_distance
+from .snap_in_time import SnapInTime, snap_in_time
 from .stroke import find_stroke_force
 from .worst import SnapSearch, WorstCertificate, WorstMargin, worst_certificate, worst_margin
 
@@ -29,6 +30,7 @@ __all__ = [
     "Snap",
     "SnapAssessment",
     "SnapDistance",
+    "SnapInTime",
     "SnapSearch",
     "StabilityMap",
     "WorstCertificate",
@@ -46,6 +48,7 @@ __all__ = [
     "least_snap_distance",
     "snap_distance",
     "snap_free_certificate",
+    "snap_in_time",
     "stability_map",
     "trace_branch",
     "worst_certificate",

@@ -51,8 +51,21 @@ class Orientation:
         return np.asarray(2 * (world_turns() @ self.start[element]) @ self.start_slope[element])
 
 
-def orient(mesh: Mesh, curvature: Array) -> Orientation:
-    """Orientation from the identity at the plate, with curvature (N, 2) at the points of all elements of a mesh."""
+class Stages(NamedTuple):
+    """Quaternions along the arm without their derivatives; fields as of `Orientation`."""
+
+    start: Array
+    stage: Array
+    rate: Array
+    inverse: Array
+    stage_by_start: Array
+    end_by_start: Array
+    increment: Array
+    """Matrix (P, 4, 4 K) of Q at the end of each element, less that at its start, by Q at its points."""
+
+
+def stages(mesh: Mesh, curvature: Array) -> Stages:
+    """Quaternions from the identity at the plate, with curvature (N, 2) at the points of all elements of a mesh."""
     elements, k = len(mesh.length), mesh.tableau.degree
     half = mesh.length / 2
     omega = quaternion_rates()
@@ -71,6 +84,14 @@ def orient(mesh: Mesh, curvature: Array) -> Orientation:
     for e in range(elements):
         start[e + 1] = end_by_start[e] @ start[e]
     stage = (stage_by_start @ start[:-1, :, None]).reshape(-1, 4)
+    return Stages(start, stage, rate, inverse, stage_by_start, end_by_start, increment)
+
+
+def orient(mesh: Mesh, curvature: Array) -> Orientation:
+    """Orientation as of `stages`, with its derivatives by the curvature (N, 2)."""
+    elements, k = len(mesh.length), mesh.tableau.degree
+    half, omega = mesh.length / 2, quaternion_rates()
+    start, stage, rate, inverse, stage_by_start, end_by_start, increment = stages(mesh, curvature)
     # Derivatives by the curvature of the same element, at its points and at its end.
     rate_slope = (omega @ stage.T).transpose(2, 1, 0)
     by_stage = rate_slope.reshape(elements, 1, k, 4, 2).swapaxes(2, 3)

@@ -14,10 +14,12 @@ from .loads import (
 from .maps import plot_branch, plot_energy_maps, plot_stability_map
 from .path import animate_path, plot_path, plot_snap
 from .shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
+from .snap_in_time import animate_snap, plot_snap_in_time
 from .style import save_figure
 
 __all__ = [
     "animate_path",
+    "animate_snap",
     "plot_bearing",
     "plot_branch",
     "plot_energy_maps",
@@ -31,6 +33,7 @@ __all__ = [
     "plot_shape",
     "plot_shapes",
     "plot_snap",
+    "plot_snap_in_time",
     "plot_stability_map",
     "plot_torsion",
     "plot_torsions",
