@@ -51,6 +51,8 @@ SIZES = {
     "channel": 1,
     "sheath_diameter": 1,
     "sheath_stiffness": 1,
+    "sheath_rigid_length": 1,
+    "sheath_rigid_from": 1,
 }
 """Size of each quantity; those that are not listed have one number per tube."""
 
@@ -259,6 +261,16 @@ class Quantities:
     def sheath_stiffness(self) -> Any:
         """Bending stiffness of the sheath of a bundle robot, N m^2. For designs only."""
         return self._look(Quantity("sheath_stiffness"))
+
+    @property
+    def sheath_rigid_length(self) -> Any:
+        """Length of the sheath of a bundle robot from the plate that is rigid, m. For designs only."""
+        return self._look(Quantity("sheath_rigid_length"))
+
+    @property
+    def sheath_rigid_from(self) -> Any:
+        """Arc length from which on the sheath of a bundle robot is rigid, m. For designs only."""
+        return self._look(Quantity("sheath_rigid_from"))
 
     def straightened_strain(self, tube: int) -> Any:
         """Largest strain (pieces,) of every piece of a straightened tube, with its slots if known. For designs only.

@@ -13,7 +13,7 @@ from numpy.polynomial import chebyshev
 
 from ..block.transcription.chain import bend_of
 from ..display import Displayed
-from ..equilibrium.directions import Change, Directions
+from ..equilibrium.directions import OF_SHEATH, Change, Directions
 from ..errors import InputError, choice, finite, items, whole
 from ..robots.eccentric import BundleRobot
 from ..robots.pieces import Piece, Quantity, Series, Slots, times, turned, values
@@ -111,11 +111,8 @@ def with_slots(tubes: Sequence[Tube], slotted: Sequence[PieceIndex], slots: Slot
 def start_of(robot: Robot, tubes: Sequence[Tube], unknown: Unknown) -> float:
     """Initial value of an unknown, averaged over its pieces or tubes."""
     if unknown.field in SHEATH and isinstance(robot, BundleRobot):
-        return (
-            robot.sheath_stiffness
-            if unknown.field == SHEATH[0]
-            else robot.sheath_diameter or robot.least_sheath_diameter
-        )
+        value = getattr(robot, unknown.field)
+        return float(robot.least_sheath_diameter if value is None else value)
     if unknown.field in PLACES and not unknown.scaled:
         return float(np.mean([getattr(robot, unknown.field)[i] for i in unknown.tubes]))
     if unknown.pieces:
@@ -319,7 +316,7 @@ TUBE_FIELDS = ("curvature", "straight_length", "curved_length", "outer_diameter"
 
 # Dimensions of the arrangement of a bundle robot: places of the tubes, (n,) each, and numbers of the sheath.
 PLACES = ("offset", "angle")
-SHEATH = ("sheath_stiffness", "sheath_diameter")
+SHEATH = (*OF_SHEATH, "sheath_diameter")
 
 # Dimensions of a tube, of its pieces, or of an arrangement that may be free.
 FIELDS = (*TUBE_FIELDS, *PIECE_FIELDS, *PLACES, *SHEATH)
@@ -334,6 +331,8 @@ NAMES = {
     "offset": "offset",
     "angle": "angle of the offset",
     "sheath_stiffness": "bending stiffness of the sheath",
+    "sheath_rigid_length": "rigid length of the sheath",
+    "sheath_rigid_from": "start of the rigid tip of the sheath",
     "sheath_diameter": "inner diameter of the sheath",
 }
 
@@ -345,7 +344,7 @@ UNITS = {
     "offset": ("mm", 1000.0),
     "angle": ("deg", 180 / np.pi),
     "sheath_stiffness": ("N mm^2", 1e6),
-    "sheath_diameter": ("mm", 1000.0),
+    **dict.fromkeys(("sheath_diameter", "sheath_rigid_length", "sheath_rigid_from"), ("mm", 1000.0)),
 }
 
 # Dimensions of whole tubes that may be free where tubes are made of pieces.
@@ -483,8 +482,9 @@ class DesignSpace:
         robot = self.robot
         if not isinstance(robot, BundleRobot):
             return {}
-        out = {"offset": robot.offset, "angle": robot.angle, "sheath_stiffness": (robot.sheath_stiffness,)}
-        if robot.sheath_diameter is not None or any(unknown.field == SHEATH[1] for unknown in self.unknowns):
+        out = {"offset": robot.offset, "angle": robot.angle}
+        out |= {name: (value,) for name in OF_SHEATH if (value := getattr(robot, name)) is not None}
+        if robot.sheath_diameter is not None or any(unknown.field == "sheath_diameter" for unknown in self.unknowns):
             out["sheath_diameter"] = (robot.sheath_diameter or robot.least_sheath_diameter,)
         return out
 
@@ -595,6 +595,8 @@ def design_space(robot: Robot, free: Sequence[Free]) -> DesignSpace:
         of_bundles, is_bundle = dimension.field in (*PLACES, *SHEATH), isinstance(robot, BundleRobot)
         if of_bundles and not is_bundle:
             raise InputError(f"free {NAMES[dimension.field]} is a dimension of eccentric robots; the tubes are nested")
+        if dimension.field == "sheath_rigid_from" and getattr(robot, dimension.field) is None:
+            raise InputError(f"free {NAMES[dimension.field]} needs a robot whose sheath has a rigid tip")
         if is_bundle and dimension.field in PIECE_FIELDS:
             raise InputError(f"free {NAMES[dimension.field]} is a dimension of nested tubes; the robot is eccentric")
         for i in dimension.tubes:

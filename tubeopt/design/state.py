@@ -303,11 +303,15 @@ class DesignState:
         """`proof_parts` of a bundle at translations (n,), m, and their derivatives (.., X)."""
         if translations not in self._proofs:
             assert isinstance(self.robot, BundleRobot)
-            bundle, (rows, chain) = bundle_at(self.robot, translations), moving(self._reshaped)
+            bundle = bundle_at(self.robot, translations).beyond_rigid_length
+            rows, chain = moving(self._reshaped)
             if (parts := proof_parts(bundle)) is None:
                 raise SolveError("the tubes curve too tightly, relative to their offsets, for a certificate")
             split = np.cumsum([len(part) for part in self.resized.values()])
             slopes = dict(zip(self.resized, np.split(rows, split)[:-1], strict=True))
+            if (longer := slopes.pop("sheath_rigid_length", None)) is not None:
+                # Seen from its end, a longer rigid part draws all tubes back.
+                slopes["translations"] = np.tile(-longer, (self.robot.n_tubes, 1))
             change = proof_slopes(bundle, slopes) @ chain if slopes else np.zeros((len(parts), self.layout.size))
             self._proofs[translations] = parts, change
         return self._proofs[translations]
@@ -338,10 +342,10 @@ def _value_and_change(state: DesignState, quantity: Quantity) -> tuple[Array, Ar
         case "sheath_diameter":
             return _row(sheath(state))
     if quantity.pose is None:
-        if isinstance(state.robot, BundleRobot) and quantity.name in ARRANGEMENT:
+        if isinstance(state.robot, BundleRobot) and quantity.name in ARRANGEMENT and quantity.name in state.slopes:
             return np.atleast_1d(getattr(state.robot, quantity.name)), state.slopes[quantity.name]
         if quantity.name not in state.slopes:
-            raise InputError(f"{quantity.name} is a dimension of eccentric robots; the tubes are nested")
+            raise InputError(f"{quantity.name} is no dimension of this robot")
         return np.array([getattr(tube, quantity.name) for tube in state.tubes]), state.slopes[quantity.name]
     match quantity.name:
         case "rotations" | "translations":

@@ -384,6 +384,11 @@ def _check_bundle(task: DesignTask, robot: BundleRobot) -> None:
                     "SnapFree of an eccentric robot has a force, a box or tube errors; its proof covers given "
                     "translations without them: require a larger margin, and check tolerances"
                 )
+            if robot.sheath_rigid_from is not None:
+                raise InputError(
+                    "SnapFree is required of a robot whose sheath has a rigid tip; there is a proof for flexible tips "
+                    "only: require SnapFreeInUse"
+                )
             for row in requirement.translations or ():
                 robot.admit(np.array(row))
         if isinstance(requirement, Poses):

@@ -29,6 +29,7 @@ from ..stability import find_stroke_force, follow, snap_free_certificate, worst_
 from ..typing import Array
 from .evaluation import state_at
 from .exchange import UNREACHED, certified_at, motions
+from .parameters import SHEATH
 from .program import Program, points_of
 from .requirements import (
     DEPLOYED_FRACTIONS,
@@ -447,7 +448,7 @@ def numbers_of(robot: DesignedRobot, equilibria: Sequence[Equilibrium]) -> Look:
             return np.array([snap_free_certificate(robot, np.array(quantity.at))])
         if quantity.name == "channel" and isinstance(robot, BundleRobot):
             return np.array([channel_between(robot).diameter])
-        if quantity.name in ("sheath_diameter", "sheath_stiffness", *PLACES) and isinstance(robot, BundleRobot):
+        if quantity.name in (*SHEATH, *PLACES) and isinstance(robot, BundleRobot):
             value = getattr(robot, quantity.name)
             return np.atleast_1d(robot.least_sheath_diameter if value is None else value)
         if quantity.name == "straightened_strain":

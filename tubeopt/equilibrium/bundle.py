@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -9,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile
+from ..block.transcription.arm import ArmShape, ArmSolution, CollocationPoints, Profile
 from ..block.transcription.bundle import (
     CLOSING,
     HELD,
@@ -39,12 +40,14 @@ from ..block.transcription.bundle import (
     start_unknowns,
     tip_slopes,
 )
+from ..block.transcription.collocated import ENDS
 from ..block.transcription.tableau import tableau
 from ..errors import InputError
 from ..robots.eccentric import BundleRobot
 from ..robots.load import Load, masses
 from ..robots.robot import Robot
-from ..solvers.compiled.bundle import BundleStart
+from ..solvers.compiled.binding import Solved
+from ..solvers.compiled.bundle import BundleStart, solve_bundle_compiled
 from ..solvers.newton import NewtonResult, full_steps
 from ..solvers.settings import LEAST_STIFFNESS
 from ..solvers.time_limit import check_time
@@ -78,18 +81,67 @@ def bundle_at(robot: BundleRobot, translations: tuple[float, ...]) -> Bundle:
         transition=shift,
         end=shift + curved,
         sheath=robot.sheath_stiffness,
+        rigid_length=robot.sheath_rigid_length,
+        rigid_from=math.inf if robot.sheath_rigid_from is None else robot.sheath_rigid_from,
     )
+
+
+def solved_by_kernel(
+    robot: BundleRobot, rotations: Array, translations: Array, guess: Equilibrium | None, refinement: int
+) -> Solved | None:
+    """Solution of the compiled kernel, from tubes without torsion or a guess; None where it has none.
+
+    The kernel solves the arm beyond the rigid part of the sheath, in which tubes are as straight as behind the plate.
+    """
+    bundle = bundle_at(robot, tuple(translations.tolist()))
+    near = None if guess is None else bundle_start(guess, translations)
+    if robot.sheath_rigid_from is not None or (guess is not None and near is None):
+        return None
+    solved = solve_bundle_compiled(bundle.beyond_rigid_length, rotations, near, refinement)
+    if solved is None or not bundle.rigid_length:
+        return solved
+    count = int(element_counts(np.array([bundle.rigid_length]), refinement)[0])
+    return solved._replace(solution=_from_plate(solved.solution, bundle, count), elements=solved.elements + count)
+
+
+def _from_plate(solution: ArmSolution, bundle: Bundle, count: int) -> ArmSolution:
+    """Solution with the rigid part of the sheath in front of the arm beyond it, as `count` elements."""
+    arm, points, length, steps = solution.arm, solution.points, bundle.rigid_length, len(ENDS) - 1
+    s = length * np.arange(count * steps + 1) / (count * steps)
+    nodes = length * (np.arange(count)[:, None] + tableau("gauss", DEFAULT_DISCRETISATION.degree).nodes).ravel() / count
+    # The twist w of a tube is that where the sheath begins to bend, where theta' = g w.
+    theta, rate = arm.rotation[:, 0], arm.torsion[:, 0] / (1 + bundle.levers @ arm.curvature[0])
+    straight, along = np.zeros((len(s), 2)), np.array([0.0, 0.0, 1.0])
+    shape = ArmShape(
+        np.concatenate([s, length + arm.arc_length[1:]]),
+        np.column_stack([theta[:, None] + rate[:, None] * (s - length), arm.rotation[:, 1:]]),
+        np.column_stack([np.tile(rate[:, None], len(s)), arm.torsion[:, 1:]]),
+        np.concatenate([straight, arm.curvature[1:]]),
+        np.concatenate([s[:, None] * along, arm.position[1:] + length * along]),
+        np.concatenate([np.tile(np.eye(3), (len(s), 1, 1)), arm.frame[1:]]),
+    )
+    table = CollocationPoints(
+        np.concatenate([nodes, length + points.point]),
+        np.concatenate([theta + rate * (nodes[:, None] - length), points.point_rotation]),
+        np.concatenate([np.zeros((len(nodes), 2)), points.point_curvature]),
+    )
+    start = np.append(0.0, length + solution.section_start)
+    end = np.where(bundle.end > length, length + solution.tube_end, np.maximum(bundle.end, 0.0))
+    return replace(solution, arm=shape, section_start=start, tube_end=end, points=table)
 
 
 def bundle_start(equilibrium: Equilibrium, translations: Array) -> BundleStart | None:
     """Start of a compiled solve at translations (n,), m; None for a mesh that the kernel does not have."""
-    points, statistics = equilibrium.points, equilibrium.statistics
+    points, statistics, robot = equilibrium.points, equilibrium.statistics, equilibrium.robot
+    assert isinstance(robot, BundleRobot)
     if equilibrium.load is not None or statistics.degree != DEFAULT_DISCRETISATION.degree:
         return None
-    ends = np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1])
-    twist = equilibrium.rotation[:, 0] - equilibrium.rotations
-    sampled = points.point, points.point_rotation, points.point_curvature
-    return BundleStart(ends, *sampled, equilibrium.rotations, twist, translations - equilibrium.translations)
+    length = robot.sheath_rigid_length
+    ends, beyond = np.append(equilibrium.section_start[1:], equilibrium.arc_length[-1]), points.point > length
+    twist = equilibrium.rotation[:, 0] - equilibrium.rotations + length * equilibrium.torsion[:, 0]
+    sampled = points.point[beyond] - length, points.point_rotation[beyond], points.point_curvature[beyond]
+    shift = translations - equilibrium.translations
+    return BundleStart((ends - length)[1 if length else 0 :], *sampled, equilibrium.rotations, twist, shift)
 
 
 def _places(load: Load | None) -> list[float]:
@@ -136,7 +188,8 @@ class Bundled(Member[BundleState]):
         """Member with the boundaries of untwisted tubes, without a load."""
         first = natural_start(bundle_at(robot, translations), rotations)
         if not first.order:
-            raise InputError("no tube is in front of the base plate; a bundle robot needs one")
+            where = "beyond the rigid part of the sheath" if robot.sheath_rigid_length else "in front of the base plate"
+            raise InputError(f"no tube is {where}; a bundle robot needs one")
         return Bundled.of(robot, rotations, translations, start=lambda *_: first)
 
     @staticmethod
@@ -350,7 +403,8 @@ class Bundled(Member[BundleState]):
         """Shape, energy, compliance, base wrench and estimated errors of a solved point."""
         state, problem = point.state, self.problem
         arm, ends = bundle_arm(self.rotations, state), np.cumsum(problem.lengths(state.x) * problem.count)
-        tube_end = np.zeros(problem.n)
+        # Tubes that end in the rigid part of the sheath are as long there as it is.
+        tube_end = np.clip(problem.bundle.end, 0.0, problem.bundle.rigid_length)
         for place, boundary in zip(ends.tolist(), problem.order, strict=True):
             tube_end[list(boundary.ends)] = place
         first = np.repeat(arm.arc_length[:-1:4], problem.tableau.degree)

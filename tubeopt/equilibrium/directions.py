@@ -243,13 +243,16 @@ PARAMETERS = ("rotations", "translations", *DIMENSIONS)
 """Parameters of the derivatives of an equilibrium, n columns each, per rad, per m, or per SI unit."""
 
 
-ARRANGEMENT = ("offset", "angle", "sheath_stiffness")
-"""Further parameters of a bundle robot; the last is one number, all others are n."""
+OF_SHEATH = ("sheath_stiffness", "sheath_rigid_length", "sheath_rigid_from")
+"""Parameters of the sheath of a bundle robot, one number each."""
+
+ARRANGEMENT = ("offset", "angle", *OF_SHEATH)
+"""Further parameters of a bundle robot; those of the tubes are n numbers each."""
 
 
 def columns_of(wrt: Sequence[str], n: int) -> list[int]:
     """Numbers of columns of parameters of n tubes."""
-    return [1 if name == ARRANGEMENT[-1] else n for name in wrt]
+    return [1 if name in OF_SHEATH else n for name in wrt]
 
 
 def check_wrt(wrt: Sequence[str], side: int, allowed: Sequence[str] = PARAMETERS) -> None:

@@ -173,10 +173,11 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
 
     Args:
         wrt: any of "rotations", "translations", "curvature", "straight_length", "curved_length", "bending_stiffness",
-            "torsional_stiffness"; n columns each. Of a bundle also "offset", "angle", and "sheath_stiffness", which has
-            one column. Lengths change with the translations held: a longer straight part
-            is a longer transmission. Of a tube made of pieces the curvature bends all of them in proportion, and a
-            stiffness makes all of it stiffer; its curved length stretches them, and what varies along them.
+            "torsional_stiffness"; n columns each. Of a bundle also "offset" and "angle", and "sheath_stiffness",
+            "sheath_rigid_length" and "sheath_rigid_from", of one column each. Lengths change with the translations
+            held: a longer straight part is a longer transmission. Of a tube made of pieces the curvature bends all of
+            them in proportion, and a stiffness makes all of it stiffer; its curved length stretches them, and what
+            varies along them.
         side: 1 for breakpoints that move towards the tip, -1 for those that move towards the plate.
 
     Raises:

@@ -33,13 +33,13 @@ from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.blas import small
 from ..solvers.compiled.binding import Solved, Start, kernel_of, solve_compiled
-from ..solvers.compiled.bundle import bundle_kernel, solve_bundle_compiled
+from ..solvers.compiled.bundle import MOST_TUBES, bundle_kernel
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
 from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, NEWTON, Ipopt, Newton
 from ..solvers.time_limit import limited
 from ..typing import Array, lazy_import
-from .bundle import Bundled, bundle_at, bundle_start
+from .bundle import Bundled, solved_by_kernel
 from .continuation import (
     SHARPEST_STEP,
     SHORTEST_STEP,
@@ -355,11 +355,7 @@ def _by_kernel(
 ) -> Solved | None:
     """Solution of the compiled kernel of a robot; None where there is none."""
     if isinstance(robot, BundleRobot):
-        bundle = bundle_at(robot, tuple(translations.tolist()))
-        near = None if guess is None else bundle_start(guess, translations)
-        if guess is not None and near is None:
-            return None
-        return solve_bundle_compiled(bundle, rotations, near, refinement)
+        return solved_by_kernel(robot, rotations, translations, guess, refinement)
     if guess is None:
         return solve_compiled(robot, rotations, translations, None, refinement)
     arm, points = guess.arm, guess.points
@@ -408,9 +404,17 @@ def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilib
 def followed_by_kernel(family: Family) -> bool:
     """True if a compiled kernel may follow a family; it minimises an energy, and that of bundles without a load."""
     robot, loads = family.path.robot, [load for load in family.loads if load is not None]
-    if not robot.fixed_sections:
-        return not loads and bundle_kernel(robot.n_tubes) is not None
-    return kernel_of(robot) is not None and all(load.has_energy for load in loads)
+    if isinstance(robot, BundleRobot):
+        return not loads and has_kernel(robot)
+    return has_kernel(robot) and all(load.has_energy for load in loads)
+
+
+def has_kernel(robot: Robot) -> bool:
+    """True if a compiled kernel solves a robot; bundles whose sheath has a rigid tip have none."""
+    if isinstance(robot, BundleRobot):
+        small, flexible = robot.n_tubes <= MOST_TUBES, robot.sheath_rigid_from is None
+        return small and flexible and bundle_kernel(robot.n_tubes) is not None
+    return kernel_of(robot) is not None
 
 
 def nearby(family: Family, guess: Equilibrium, t: float, request: SolveRequest) -> Equilibrium | None:

@@ -22,6 +22,7 @@ import scipy
 from ..block.transcription.arm import ArmShape, along_elements, cumulate
 from ..block.transcription.buffered import mapped
 from ..block.transcription.bundle import (
+    SAME_PLACE,
     BundleMode,
     BundleState,
     bundle_arm,
@@ -53,8 +54,13 @@ CHANGED: dict[str, dict[str, float]] = {
     "offset": {"offset": 1},
     "angle": {"angle": 1},
     "sheath_stiffness": {"sheath": 1},
+    "sheath_rigid_length": {"rigid_length": 1},
+    "sheath_rigid_from": {"rigid_from": 1},
 }
 """Changes of the quantities of a tube in `Bundle`, and of its rotation alpha, per unit of each parameter."""
+
+SINGLE = ("sheath", "rigid_length", "rigid_from")
+"""Quantities of `Bundle` that are one number."""
 
 
 class TubeAlongArm(NamedTuple):
@@ -96,6 +102,11 @@ class LinearisedBundle:
                 "wrt names 'curvature', but a straight tube would begin to curve in front of the plate. Give that tube "
                 "a curvature, or move it back until its curved part begins at the plate."
             )
+        applied = self.state.problem.load
+        for name in {"sheath_rigid_length", "sheath_rigid_from"} & set(self.wrt) if applied is not None else ():
+            at = getattr(bundle, name.removeprefix("sheath_"))
+            if any(abs(s - at) <= SAME_PLACE for s in applied.cuts().tolist()):
+                raise InputError(f"wrt names {name!r}, but the load begins, ends or acts there, at {at:g} m")
         if self._moves_axes and self.state.problem.density:
             raise InputError("wrt names offset or angle under gravity; these have derivatives under other loads only")
 
@@ -109,7 +120,7 @@ class LinearisedBundle:
     def _of_tubes(self, quantity: str) -> Array:
         """Change (n, Q) of a quantity of the tubes; (1, Q) of the sheath."""
         n = self.state.problem.n
-        rows, counts = 1 if quantity == "sheath" else n, columns_of(self.wrt, n)
+        rows, counts = 1 if quantity in SINGLE else n, columns_of(self.wrt, n)
         columns = [
             CHANGED[name].get(quantity, 0.0) * np.eye(rows, count) for name, count in zip(self.wrt, counts, strict=True)
         ]
@@ -164,6 +175,9 @@ class LinearisedBundle:
         for k, boundary in enumerate(problem.order):
             for i in boundary.tubes:
                 moved[k] += (end if i in boundary.ends else transition)[i]
+            for quantity in ("rigid_length", "rigid_from") if boundary.of_sheath else ():
+                if abs(boundary.arc_length - getattr(problem.bundle, quantity)) <= SAME_PLACE:
+                    moved[k] += self._of_tubes(quantity)[0]
         return problem.lengths_by_boundaries @ moved + self._longer(self.state.bend)
 
     @cached_property

@@ -14,6 +14,7 @@ The tubes of a bundle slide in frictionless channels of a sheath: see `_Channels
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -362,6 +363,19 @@ SAME_BOUNDARY = 1e-8
 """Distance (m) along a tube below which two boundaries of a bundle are one."""
 
 
+class _Section(NamedTuple):
+    """Tubes (n,) between two boundaries of a bundle."""
+
+    stiffness: Array
+    """Bending stiffnesses kb, N m^2; 0 of tubes that are not there."""
+    curvature: Array
+    """Precurvatures kappa, 1/m; 0 where a tube is straight, or not there."""
+    multiplier: Array
+    """Multipliers lambda, N."""
+    rigid: bool
+    """True if the sheath is rigid."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Channels:
     """Tubes of a bundle in their channels, integrated from the plate.
@@ -413,8 +427,15 @@ class _Channels:
         own = [tube.length - tube.straight_length for tube in each.robot.tubes] + each.translations
         return float(own.max())
 
-    def section(self, left: Sequence[int]) -> tuple[Array, Array, Array, bool]:
-        """kb, kappa and lambda (n,) of the tubes between the plate and the boundaries `left`, and if any is there."""
+    def is_rigid(self, s: float) -> bool:
+        """True if the sheath is rigid behind an arc length s."""
+        robot = self.equilibrium.robot
+        assert isinstance(robot, BundleRobot)
+        tip = math.inf if robot.sheath_rigid_from is None else robot.sheath_rigid_from
+        return s < robot.sheath_rigid_length - SAME_BOUNDARY or s > tip - SAME_BOUNDARY
+
+    def section(self, left: Sequence[int], s: float) -> _Section:
+        """Section that begins at an arc length s, with the boundaries `left` ahead."""
         kb, _, curved, _ = self.tubes
         there, bent, pull = np.zeros(len(kb)), curved.copy(), np.zeros(len(kb))
         for k in left:
@@ -422,11 +443,13 @@ class _Channels:
             there[list(b.ends)] = 1.0
             bent[[i for i in b.tubes if i not in b.ends]] = 0.0
             pull[list(b.tubes[:1])] += self.multipliers[k]
-        return kb * there, bent * there, pull, bool(there.any())
+        return _Section(kb * there, bent * there, pull, self.is_rigid(s))
 
-    def curvature(self, y: Array, section: tuple[Array, Array, Array, bool]) -> Array:
-        """(2,) curvature that balances the moment, by Newton's method."""
-        (kb, bent, pull, _), (_, kt, _, _), (_, lever) = section, self.tubes, self.places
+    def curvature(self, y: Array, section: _Section) -> Array:
+        """(2,) curvature that balances the moment, by Newton's method; 0 where the sheath is rigid."""
+        (kb, bent, pull, rigid), (_, kt, _, _), (_, lever) = section, self.tubes, self.places
+        if rigid:
+            return np.zeros(2)
         n = len(kb)
         theta, w, on = y[:n], y[n : 2 * n], kb > 0
         natural = bent[:, None] * np.column_stack([np.cos(theta), np.sin(theta)])
@@ -458,7 +481,7 @@ class _Channels:
         place = y[-18:-15] - self.equilibrium.tip_position + out @ y[-15:-6].reshape(3, 3)[:, :2].T
         return np.asarray(self.tubes[3] * (place @ gravity))
 
-    def potential(self, y: Array, section: tuple[Array, Array, Array, bool], u: Array) -> float:
+    def potential(self, y: Array, section: _Section, u: Array) -> float:
         """Quantity that is the same on both sides of a boundary that slides, N."""
         (kb, bent, pull, _), (_, kt, _, _), (_, lever) = section, self.tubes, self.places
         n = len(kb)
@@ -468,7 +491,7 @@ class _Channels:
         sheath = self.equilibrium.robot.sheath_stiffness  # type: ignore[attr-defined]
         return float(g @ tubes + sheath * u @ u / 2 - self.moment(y) @ u)
 
-    def rates(self, s: float, y: Array, section: tuple[Array, Array, Array, bool]) -> Array:
+    def rates(self, s: float, y: Array, section: _Section) -> Array:
         """Derivatives of (theta, w, own length, p, R, n, M) by arc length."""
         (kb, bent, _, _), (_, kt, _, mass), (out, lever) = section, self.tubes, self.places
         n, on = len(kb), kb > 0
@@ -497,8 +520,8 @@ class _Channels:
         y, s = np.concatenate([each.rotation[:, 0], w, np.zeros(n), *pose]), 0.0
         worst, loose, bent, most = 0.0, 0.0, 0.0, float(np.abs(lever).max()) / kb.sum()
         while left:
-            section = self.section(left)
-            if not section[3]:
+            section = self.section(left, s)
+            if not section.stiffness.any():
                 break
 
             def to_go(s: float, y: Array, k: int) -> float:
@@ -520,15 +543,15 @@ class _Channels:
             s, y = float(flow.t[-1]), flow.y[:, -1]
             passed = [k for k in left if abs(to_go(s, y, k)) < SAME_BOUNDARY]
             left = [k for k in left if k not in passed]
-            u, after = self.curvature(y, section), self.section(left)
+            u, after = self.curvature(y, section), self.section(left, s)
             before = self.potential(y, section, u)
             here = [i for k in passed for i in self.boundaries[k].ends]
-            last = not after[3]
+            last = not after.stiffness.any()
             if last:
                 before -= float(y[-6:-3] @ y[-15:-6].reshape(3, 3)[:, 2])
             else:
                 before -= self.potential(y, after, self.curvature(y, after))
-            if not any(self.boundaries[k].is_load_jump for k in passed):
+            if not any(self.boundaries[k].of_sheath for k in passed):
                 # An axial force that is off by this bends the tubes by its lever.
                 bent = max(bent, abs(before) * most)
             for i in here:
@@ -536,7 +559,7 @@ class _Channels:
                 loose = max(loose, abs(y[n + i] - twisted / kt[i]))
                 worst = max(worst, abs(y[i] - each.tip_rotations[i]))
             for part in self.load.points:
-                if any(self.boundaries[k].is_load_jump and abs(part.at - s) < SAME_BOUNDARY for k in passed):
+                if any(self.boundaries[k].of_sheath and abs(part.at - s) < SAME_BOUNDARY for k in passed):
                     y[-6:-3] -= part.force
                     y[-3:] -= part.moment
         turn = y[-15:-6].reshape(3, 3) @ each.tip_rotation.T

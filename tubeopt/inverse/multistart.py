@@ -21,11 +21,10 @@ import numpy as np
 from ..display import in_full
 from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.batch import solved_batch
+from ..equilibrium.directions import ARRANGEMENT
+from ..equilibrium.kinematics import has_kernel
 from ..errors import InputError, SolveError
 from ..files.files import atomic_write
-from ..robots.robot import Robot
-from ..solvers.compiled.binding import kernel_of
-from ..solvers.compiled.bundle import MOST_TUBES, bundle_kernel
 from ..solvers.compiled.library import cache_directory
 from ..typing import Array
 from .answer import InverseSolution, InverseStatistics, InverseStatus
@@ -105,7 +104,7 @@ def build_table(
     if partial is None:
         partial = StartTable(np.empty((0, m)), np.empty((0, 3)), np.empty((0, 3)), np.empty(0), 0, complete=False)
     # Where ends of bundles stay together the general solver takes half a second, the kernel milliseconds.
-    quick = not space.robot.fixed_sections and _compiled(space.robot)
+    quick = not space.robot.fixed_sections and has_kernel(space.robot)
     parts, tried = [partial.arrays], partial.tried
     count = 8  # configurations between two checks of the clock, more where these are quick
     while tried < size and not clock.over:
@@ -151,7 +150,7 @@ def _by_mirror(space: JointSpace, q: Array) -> Array:
 def start_table(space: JointSpace, size: int | None = None, clock: Clock | None = None) -> StartTable:
     """Table of a joint space, from the cache on disk, or built and stored there."""
     fewer = SIZE_OF_MANY if len(space.lower) > MANY or not space.robot.fixed_sections else SIZE
-    size = size or (fewer if _compiled(space.robot) else SIZE_UNCOMPILED)
+    size = size or (fewer if has_kernel(space.robot) else SIZE_UNCOMPILED)
     path = cache_directory() / f"inverse-{_key(space, size)}.npz"
     stored = _read(path, len(space.lower), size)
     if stored is not None and stored.complete:
@@ -168,13 +167,6 @@ def start_table(space: JointSpace, size: int | None = None, clock: Clock | None 
     return table
 
 
-def _compiled(robot: Robot) -> bool:
-    """True if a robot has a compiled kernel."""
-    if robot.fixed_sections:
-        return kernel_of(robot) is not None
-    return robot.n_tubes <= MOST_TUBES and bundle_kernel(robot.n_tubes) is not None
-
-
 def _key(space: JointSpace, size: int) -> str:
     """Hash of all inputs of the table."""
     tubes = in_full((VERSION, size, type(space.robot).__name__, space.robot.tubes, space.carriages))
@@ -186,7 +178,7 @@ def _key(space: JointSpace, size: int) -> str:
         space.row_lower,
         space.joint(space.lower),
         space.robot.axes,
-        np.array([getattr(space.robot, "sheath_stiffness", 0.0)]),
+        np.array([getattr(space.robot, name, None) or 0.0 for name in ARRANGEMENT[2:]]),
     ):
         digest.update(np.ascontiguousarray(array, dtype=float).tobytes())
     return digest.hexdigest()[:32]

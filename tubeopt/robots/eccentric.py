@@ -372,6 +372,12 @@ class BundleRobot(Robot):
     """Bending stiffness of the sheath, N m^2."""
     sheath_diameter: Annotated[float | None, unit("mm"), NOT_NEGATIVE, "inner diameter of the sheath"] = None
     """Inner diameter of the sheath, m; None if the sheath touches the tubes."""
+    sheath_rigid_length: Annotated[float, unit("mm"), NOT_NEGATIVE, "length of the rigid part of the sheath"] = 0.0
+    """Length of the sheath from the plate that is rigid and straight, m."""
+    sheath_rigid_from: Annotated[
+        float | None, unit("mm"), POSITIVE, "length of the sheath in front of its rigid tip; default no rigid tip"
+    ] = None
+    """Arc length of the sheath from which on it is rigid and straight, m; None if its tip is flexible."""
     name: str = ""
     """Name in tables and figures."""
     joint_limits: JointLimits | None = None
@@ -406,6 +412,11 @@ class BundleRobot(Robot):
                     f"offset of tube {i} is {distance:g} m; it must be less than a quarter of its radius of "
                     f"precurvature, {0.25 / abs(tube.curvature):g} m"
                 )
+        if self.sheath_rigid_from is not None and self.sheath_rigid_from <= self.sheath_rigid_length:
+            raise InputError(
+                f"sheath_rigid_from is {self.sheath_rigid_from:g} m; it must be greater than sheath_rigid_length, "
+                f"{self.sheath_rigid_length:g} m"
+            )
         if self.carriages is not None and sorted(i for tubes in self.carriages for i in tubes) != list(range(n)):
             raise InputError(f"carriages are {self.carriages}; each tube from 0 to {n - 1} must be in one of them")
         self._check_fit()

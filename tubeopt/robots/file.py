@@ -475,7 +475,14 @@ class SegmentedEccentricEntry(RobotEntry):
         return robot.bundle() if self.model == "energy" else robot
 
 
-OF_BUNDLE = ("sheath_stiffness", "sheath_diameter", "nested_curves", "buffer")
+OF_BUNDLE = (
+    "sheath_stiffness",
+    "sheath_diameter",
+    "sheath_rigid_length",
+    "sheath_rigid_from",
+    "nested_curves",
+    "buffer",
+)
 
 
 class BundleTubeEntry(TubeEntry):

@@ -37,7 +37,7 @@ from ..robots.tubes import Tube
 from ..solvers.blas import small
 from ..solvers.time_limit import check_time
 from ..typing import Array, StatusEnum
-from .bundle_certificate import bundle_proof, proof_slopes
+from .bundle_certificate import Proof, bundle_proof, proof_slopes
 from .eccentric_certificate import proof, proof_gradient
 from .pair import least_margin_of_pair, margins, pair_of
 from .shooting import profiles, to_base
@@ -255,10 +255,9 @@ def snap_free_certificate(robot: Robot, translations: ArrayLike | None = None, *
     """
     shift = shifts(robot, translations)
     if isinstance(robot, BundleRobot):
-        bundle = bundle_at(robot, tuple(shift.tolist()))
         if positive("max_force", max_force, zero=True):
             raise InputError(f"max_force is {max_force:g} N; it must be 0 for bundles: there is no proof under force")
-        return bundle_proof(bundle).margin
+        return proof_of_bundle(robot, shift).margin
     assembly = robot.assembly(shift)
     check_force(robot.tubes, "max_force", positive("max_force", max_force, zero=True), assembly.total_length)
     if max_force and assembly.eccentric:
@@ -295,6 +294,14 @@ def _of_pieces(robot: Robot, shift: Array) -> tuple[float, Array | None]:
     on_finer_mesh = min(1.0, float(margins(finer, np.array([minimum.tip]))[0]))
     sharper = minimum.bound - abs(on_finer_mesh - minimum.margin)
     return (sharper, minimum.opposition) if sharper > value else (value, None)
+
+
+def proof_of_bundle(robot: BundleRobot, translations: Array) -> Proof:
+    """Certificate of a bundle at translations (n,), m; none with a rigid tip of the sheath."""
+    if robot.sheath_rigid_from is not None:
+        tip = f"the sheath is rigid from {1e3 * robot.sheath_rigid_from:g} mm on"
+        return Proof(-np.inf, f"{tip}; there is a proof for flexible tips only.")
+    return bundle_proof(bundle_at(robot, tuple(translations.tolist())).beyond_rigid_length)
 
 
 def estimated_certificate(robot: Robot, shift: Array) -> float:
@@ -368,8 +375,8 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     """
     n, shift = robot.n_tubes, shifts(robot, translations)
     if isinstance(robot, BundleRobot):
-        bundle = bundle_at(robot, tuple(shift.tolist()))
-        found, gradient = bundle_proof(bundle), {name: np.full(n, np.nan) for name in PARAMETERS}
+        found, gradient = proof_of_bundle(robot, shift), {name: np.full(n, np.nan) for name in PARAMETERS}
+        bundle = bundle_at(robot, tuple(shift.tolist())).beyond_rigid_length
         for name in PARAMETERS if np.isfinite(found.margin) else ():
             of = "translations" if name == "translation" else name
             gradient[name] = proof_slopes(bundle, {of: np.eye(n)})[0]

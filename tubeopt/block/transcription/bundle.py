@@ -91,6 +91,30 @@ class Bundle:
     """Own arc length (n,) from the plate to the end, m."""
     sheath: float = 0.0
     """Bending stiffness of the sheath, N m^2."""
+    rigid_length: float = 0.0
+    """Length of the rigid part of the sheath at the plate, m."""
+    rigid_from: float = np.inf
+    """Arc length of the sheath from which on it is rigid, m."""
+
+    def is_rigid(self, passed: Sequence[Boundary]) -> bool:
+        """True if the sheath is rigid directly behind the boundaries `passed`, seen from the plate."""
+        places = np.array([b.arc_length for b in passed if b.of_sheath])
+        begun, over = (bool((np.abs(places - s) <= SAME_PLACE).any()) for s in (self.rigid_from, self.rigid_length))
+        return begun or (self.rigid_length > SAME_PLACE and not over)
+
+    @cached_property
+    def beyond_rigid_length(self) -> Bundle:
+        """The same tubes with the plate at the end of the rigid part, since tubes are straight behind both."""
+        if not self.rigid_length:
+            return self
+        return replace(
+            self,
+            transmission=self.transmission + self.rigid_length,
+            transition=self.transition - self.rigid_length,
+            end=self.end - self.rigid_length,
+            rigid_length=0.0,
+            rigid_from=self.rigid_from - self.rigid_length,
+        )
 
     @cached_property
     def levers(self) -> Array:
@@ -107,23 +131,29 @@ class Boundary(NamedTuple):
     """Tubes that end or begin to curve at the boundary, side by side at one offset."""
     ends: tuple[int, ...] = ()
     """Tubes that end at the boundary."""
-    is_load_jump: bool = False
-    """True for a place of the sheath, where the force on a cross-section jumps."""
+    of_sheath: bool = False
+    """True for a place of the sheath: the force on a cross-section jumps, or a rigid part begins or ends."""
 
     @property
     def key(self) -> tuple[object, ...]:
         """Name that stays the same when tubes move."""
-        return self.tubes, self.ends, self.arc_length if self.is_load_jump else None
+        return self.tubes, self.ends, self.arc_length if self.of_sheath else None
 
 
 def boundaries(bundle: Bundle, places: Sequence[float] = ()) -> list[Boundary]:
-    """Boundaries in front of the plate, in no order; `places` are arc lengths of the sheath, m."""
+    """Boundaries in front of the plate, in no order; `places` are arc lengths of the sheath, m.
+
+    Where the sheath is rigid at the plate, as behind the plate, it makes no difference where tubes begin to curve.
+    """
     n, centre = len(bundle.end), np.zeros(2)
+    rigid = [s for s in (bundle.rigid_length, bundle.rigid_from) if SAME_PLACE < s < np.inf]
     # Tube or None, own length, stretch by curvature, end.
-    left: list[tuple[int | None, float, Array, bool]] = [(None, s, centre, False) for s in places]
+    left: list[tuple[int | None, float, Array, bool]] = []
     left += [(i, float(bundle.transition[i]), bundle.levers[i], False) for i in range(n) if bundle.curvature[i]]
     left += [(i, float(bundle.end[i]), bundle.levers[i], True) for i in range(n)]
-    left, out = [one for one in left if one[1] > SAME_PLACE], []
+    left = [one for one in left if one[1] > bundle.rigid_length + SAME_PLACE]
+    left = [(None, s, centre, False) for s in (*places, *rigid) if s > SAME_PLACE] + left
+    out = []
     while left:
         _, s, lever, _ = left[0]
         # Boundaries at one offset never pass each other by bending.
@@ -155,6 +185,7 @@ def natural_start(bundle: Bundle, rotations: Array, places: Sequence[float] = ()
         present, curved = tubes_at(bundle, left)
         kb = bundle.bending_stiffness * present
         u = (kb * bundle.curvature * curved) @ direction / (kb.sum() + bundle.sheath)
+        u *= not bundle.is_rigid(order)
         stretch = 1 + bundle.levers @ u
         to_go = [
             (b.arc_length - done[b.tubes[0]]) / stretch[b.tubes[0]] if b.tubes else b.arc_length - arc for b in left
@@ -209,7 +240,17 @@ class BundleProblem:
     @cached_property
     def _of_sections(self) -> tuple[Mask, Mask]:
         rows = [tubes_at(self.bundle, self.order[k:]) for k in range(len(self.order))]
-        return np.array([row[0] for row in rows]), np.array([row[1] for row in rows])
+        present, curved = (np.array([row[k] for row in rows]) for k in (0, 1))
+        if self.bundle.rigid_length > SAME_PLACE:
+            # Energy of straightening counts beyond the rigid part only, as it does in front of the plate.
+            curved[: 1 + self.boundary_at(self.bundle.rigid_length)] = False
+        return present, curved
+
+    @cached_property
+    def bends(self) -> Mask:
+        """Mask (2 N,) of the turns kappa that are free: those where the sheath is not rigid."""
+        rigid = np.array([self.bundle.is_rigid(self.order[:k]) for k in range(len(self.order))])
+        return np.repeat(~rigid[self.point_section], 2)
 
     @cached_property
     def section(self) -> Index:
@@ -341,13 +382,13 @@ class BundleProblem:
     @cached_property
     def _bending(self) -> tuple[Array, Array, Array]:
         """Derivative (2 N, U - split) of kappa by x, its inverse, and kappa (2 N,) at x = 0."""
-        scale = self._bend_scale
+        scale, free = self._bend_scale, np.eye(len(self.bends))[:, self.bends]
         if not self.held:
-            return np.diag(scale), np.diag(1 / scale), np.zeros(len(scale))
+            return scale[:, None] * free, free.T / scale, np.zeros(len(scale))
         # Held lengths are linear in kappa: kappa is a sum of what they determine and of what they leave free.
-        fixed = self.lengths_by_bend[[*self.held]] * scale
+        fixed = self.lengths_by_bend[[*self.held]] * scale * self.bends
         desired = HELD - self.straight[[*self.held]]
-        free = scipy.linalg.null_space(fixed)
+        free = free @ scipy.linalg.null_space(fixed[:, self.bends])
         start = scale * np.linalg.lstsq(fixed, desired, rcond=None)[0]
         return scale[:, None] * free, free.T / scale, start
 
@@ -360,7 +401,7 @@ class BundleProblem:
         """Change (2 N, Q) of kappa at constant unknowns if the lengths of a straight arm change by (m, Q), m."""
         if not self.held:
             return np.zeros((2 * len(self.weight), longer.shape[1]))
-        rows, scale = self.lengths_by_bend[[*self.held]], self._bend_scale
+        rows, scale = self.lengths_by_bend[[*self.held]], self._bend_scale * self.bends
         return scale[:, None] * np.linalg.lstsq(rows * scale, -longer[[*self.held]], rcond=None)[0]
 
     def bend(self, x: Array) -> Array:
@@ -422,7 +463,10 @@ class BundleProblem:
 
     def boundary_at(self, s: float) -> int:
         """Section that ends at an arc length of the sheath; the last one at and beyond the tip."""
-        return next((k for k, b in enumerate(self.order) if b.is_load_jump and b.arc_length == s), len(self.order) - 1)
+        return next(
+            (k for k, b in enumerate(self.order) if b.of_sheath and abs(b.arc_length - s) <= SAME_PLACE),
+            len(self.order) - 1,
+        )
 
 
 @dataclass(frozen=True, eq=False)
