@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +68,12 @@ def test_derivatives_of_every_quantity_are_those_of_solved_designs() -> None:
         Free("angle", (1,), 1.9, 2.3),
         Free("sheath_stiffness", (), 0.0, 0.01),
         Free("sheath_diameter", (), 3e-3, 6e-3),
+        Free("sheath_rigid_length", (), 0.0, 0.05),
     )
     task = DesignTask(thesis(), free, (posed([30, 100, -20], [0, 60, -60], shift=-0.01),))
     program = compile_task(task)
     x = program.layout.space.start.copy()
-    x[3:] = 1.45e-3, 0.094, 0.09, 0.098, 2.05, 0.004, 4.9e-3
+    x[3:] = 1.45e-3, 0.094, 0.09, 0.098, 2.05, 0.004, 4.9e-3, 0.02
     state = DesignState(program.layout, x)
     force, moment = Load((0.02, 0.01, -0.01)), Load((0.02, 0.01, -0.01), (0.001, 0.0, 0.002))
     body = Sphere((0.02, -0.02, 0.05), 0.01)
@@ -189,6 +191,30 @@ def test_certificates_of_bundles_are_required() -> None:
     assert np.isinf(
         tolerance_analysis(thesis().bundle(), Tolerances(), translations=[[0, 0, 0]], samples=2).certificate
     ).all()
+
+
+def test_rigid_parts_of_the_sheath_are_free() -> None:
+    free = (*EQUAL[:1], Free("curved_length", (1, 2), 0.087, 0.094), Free("sheath_rigid_length", (), 0.0, 0.03))
+    program = compile_task(DesignTask(thesis(), free, (SnapFree(0.3),)))
+    x = program.layout.space.start.copy()
+    x[:4] = 7.0, 0.091, 0.088, 0.01
+    value, slope = DesignState(program.layout, x).certificate_at((0.0, 0.0, 0.0))
+    assert value > 0.3
+    for k, step in enumerate((1e-4, 1e-7, 1e-7, 1e-7)):
+        ahead, behind = (
+            DesignState(program.layout, x + way * step * np.eye(len(x))[k]).certificate_at((0.0, 0.0, 0.0))[0]
+            for way in (1, -1)
+        )
+        assert (ahead - behind) / (2 * step) == pytest.approx(slope[k], rel=1e-4, abs=1e-6)
+    assert abs(slope[3]) > 0.1
+    robot = replace(thesis().bundle(), sheath_rigid_from=0.09)
+    tip = Free("sheath_rigid_from", (), 0.07, 0.09)
+    q = DesignState((program := compile_task(DesignTask(robot, (tip,)))).layout, program.layout.space.start.copy())
+    assert q.quantity(Quantity("sheath_rigid_from"))[0] == pytest.approx(0.09)
+    with pytest.raises(InputError, match="there is a proof for flexible tips only: require SnapFreeInUse"):
+        DesignTask(robot, EQUAL[:1], (SnapFree(0.3),))
+    with pytest.raises(InputError, match="needs a robot whose sheath has a rigid tip"):
+        DesignTask(thesis(), (tip,))
 
 
 def test_carriages_reach_targets_together() -> None:

@@ -249,6 +249,84 @@ def test_the_energy_of_the_robot_of_the_thesis_differs_by_the_ends_of_its_tubes(
         robot.fk(np.radians(degrees), [0.0, 0.0, -0.001])
 
 
+@pytest.mark.parametrize(("degrees", "microns"), [((0, 60, -60), 8.03), ((0, 90, -90), 4.21), ((30, 100, -20), 7.60)])
+def test_axial_forces_alone_move_tubes_that_end_together_by_little(degrees: Any, microns: float) -> None:
+    thesis = load_robot("thesis_etr")
+    assert isinstance(thesis, EccentricRobot)
+    alpha, kb, kt = np.radians(degrees), float(thesis.tube.bending_stiffness), float(thesis.tube.torsional_stiffness)
+    kappa, lever = float(thesis.tube.curvature), thesis.distance * np.column_stack([np.sin(THIRDS), -np.cos(THIRDS)])
+
+    def curvature(theta: Array, w: Array) -> Array:
+        def balance(u: Array) -> Array:
+            v, e = u / (1 + lever @ u)[:, None], np.column_stack([np.cos(theta), np.sin(theta)])
+            axial = kb * (kappa**2 - (v**2).sum(1)) / 2 - kt * w**2 / 2
+            return np.asarray((kb * (v - kappa * e) + axial[:, None] * lever).sum(0))
+
+        u = np.zeros(2)
+        for _ in range(5):
+            slope = np.column_stack([(balance(u + e) - balance(u - e)) / 2e-4 for e in 1e-4 * np.eye(2)])
+            u = u - np.linalg.solve(slope, balance(u))
+        return u
+
+    def rates(_: float, y: Array) -> Array:
+        theta, w, frame = y[:3], y[3:6], y[6:15].reshape(3, 3)
+        u = curvature(theta, w)
+        spin = np.array([[0, 0, u[1]], [0, 0, -u[0]], [-u[1], u[0], 0.0]])
+        twist = kb * kappa * (u[0] * np.sin(theta) - u[1] * np.cos(theta)) / kt
+        return np.concatenate([(1 + lever @ u) * w, twist, (frame @ spin).ravel(), frame[:, 2]])
+
+    def end(w: Array) -> Array:
+        start = np.concatenate([alpha, w, np.eye(3).ravel(), np.zeros(3)])
+        return np.asarray(solve_ivp(rates, (0.0, 0.094), start, "DOP853", rtol=1e-8, atol=1e-10).y[:, -1])
+
+    pose = thesis.fk(alpha)
+    w = pose.torsion[:, 0] / (1 + lever @ pose.curvature[0])
+    left = end(w)[3:6]
+    slope = np.column_stack([(end(w + e)[3:6] - left) / 1e-3 for e in 1e-3 * np.eye(3)])
+    tip = end(w - np.linalg.solve(slope, left))[-3:]
+    assert 1e6 * np.linalg.norm(tip - pose.tip_position) == pytest.approx(microns, abs=0.01)
+
+
+def test_a_file_without_a_model_has_the_one_that_its_offset_needs(tmp_path: Path) -> None:
+    shipped = yaml.safe_load((ROOT / "configs" / "robots" / "thesis_etr.yaml").read_text())
+    wide = shipped | {"offset_mm": 6.2}  # 5.2 % of the radius of precurvature
+    for data, kind in ((shipped, EccentricRobot), (wide, BundleRobot), (wide | {"model": "thesis"}, EccentricRobot)):
+        (tmp_path / "robot.yaml").write_text(yaml.safe_dump(data))
+        robot = load_robot(tmp_path / "robot.yaml")
+        assert isinstance(robot, kind)
+        robot.save(tmp_path / "saved.yaml")
+        again = load_robot(tmp_path / "saved.yaml")
+        assert again == robot
+        assert getattr(again, "model", None) == getattr(robot, "model", None)
+    balanced = EccentricRobot(load_robot("thesis_etr").tubes[0], 6.2e-3)
+    balanced.save(tmp_path / "saved.yaml")
+    assert load_robot(tmp_path / "saved.yaml") == balanced
+    assert isinstance(balanced.modelled(), BundleRobot)
+    with pytest.raises(InputError, match="model is 'energy'; it must be thesis or None"):
+        EccentricRobot(balanced.tube, model="energy")
+
+
+def test_loads_and_friction_take_the_energy_where_no_model_is_stated() -> None:
+    thesis, alpha, load = load_robot("thesis_etr"), np.radians([30, 100, -20]), Load((0.05, 0.0, 0.0))
+    assert isinstance(thesis, EccentricRobot)
+    bare, pose = thesis.fk(alpha), thesis.fk(alpha, load=load)
+    assert isinstance(bare.robot, EccentricRobot)
+    assert isinstance(pose.robot, BundleRobot)
+    assert np.abs(pose.tip_position - thesis.bundle().fk(alpha, load=load).tip_position).max() < 1e-12
+    # An equilibrium of the balance starts at its joint values.
+    assert np.abs(thesis.fk(alpha, load=load, start=bare).tip_position - pose.tip_position).max() < 1e-9
+    rubbed = follow(thesis, [alpha, alpha + 0.05], friction=Friction(torque=0.005)).equilibria[-1]
+    assert isinstance(rubbed.robot, BundleRobot)
+    found = estimate_force(thesis, alpha, tip_position=pose.tip_position)
+    known = estimate_force(thesis.bundle(), alpha, tip_position=pose.tip_position)
+    assert found.force == pytest.approx(known.force, abs=1e-12)
+    stated = replace(thesis, model="thesis")
+    with pytest.raises(InputError, match="model of the robot is thesis, a balance of moments without loads"):
+        stated.fk(alpha, load=load)
+    with pytest.raises(InputError, match="friction is given for a robot of kind eccentric"):
+        follow(stated, [alpha, alpha + 0.05], friction=Friction(torque=0.005))
+
+
 def test_segments_are_stacks_of_tubes_of_own_length() -> None:
     robot = load_robot("example_three_segment_etr")
     assert isinstance(robot, SegmentedEccentricRobot)

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from problems.thesis_error_budget import ROBOT, spiral, tips
-from tubeopt import forward_kinematics
-from tubeopt.physics.spiral import strand, touching_offset
+from tubeopt import BundleRobot, forward_kinematics, load_robot
+from tubeopt.physics.spiral import spiral_rate, strand, touching_offset
+from tubeopt.robots.eccentric import room_in_sheath
 from tubeopt.typing import Array
 
 
@@ -90,3 +93,25 @@ def test_tubes_spiral_to_less_energy() -> None:
     around = [spiral(rotations, (turn + step) / length)[2] for step in (-0.05, 0.0, 0.05)]
     assert around[1] == pytest.approx(energy, abs=1e-6)
     assert min(around[0], around[2]) > energy
+
+
+def test_a_loose_sheath_lets_tubes_spiral_until_they_fill_it() -> None:
+    robot = ROBOT.bundle()
+    widest, diameter = robot.least_sheath_diameter, robot.tubes[0].outer_diameter
+    room = room_in_sheath(robot)
+    assert (room.diameter, room.width, room.turns) == (widest, 0.0, 0.0)
+    for width in (1e-6, 1e-4):
+        room = room_in_sheath(replace(robot, sheath_diameter=widest + 2 * width))
+        rate = 2 * np.pi * float(room.turns or 0.0) / 0.094
+        assert room.width == pytest.approx(width, rel=1e-9)
+        assert touching_offset(diameter, rate) - touching_offset(diameter, 0.0) == pytest.approx(width, rel=1e-6)
+    # Little room grows with the square of the rate.
+    offset = touching_offset(diameter, 0.0)
+    assert spiral_rate(diameter, 1e-9) == pytest.approx(np.sqrt(8e-9 / offset**3), rel=1e-3)
+    sheath = load_robot("configs/bundles/steerable_sheath.yaml")
+    assert isinstance(sheath, BundleRobot)
+    assert room_in_sheath(sheath).turns is None
+    four = BundleRobot(robot.tubes[:1] * 4, (diameter / np.sqrt(2),) * 4, tuple(np.pi / 2 * np.arange(4)))
+    assert room_in_sheath(replace(four, sheath_diameter=four.least_sheath_diameter + 2e-4)).turns == pytest.approx(
+        0.094 / (2 * np.pi) * spiral_rate(diameter, 1e-4, 4), rel=1e-6
+    )

@@ -103,12 +103,17 @@ def c_library(
         options: limits of the servo; its floors are constants of the header, and all are in the URDF.
 
     Raises:
-        InputError: more than MOST_TUBES tubes, a prefix that is no name in C; loads on tubes off the centreline, or of
-            unknown weight.
+        InputError: more than MOST_TUBES tubes, a rigid part of a sheath, a prefix that is no name in C; loads on tubes
+            off the centreline, or of unknown weight.
         SolveError: no stable equilibrium is found for the answers that its test knows.
     """
     if robot.n_tubes > MOST_TUBES:
         raise InputError(f"robot has {robot.n_tubes} tubes; a C library is made of at most {MOST_TUBES}")
+    if isinstance(robot, BundleRobot) and (robot.sheath_rigid_length or robot.sheath_rigid_from is not None):
+        raise InputError(
+            "the sheath of the robot has a rigid part, which no C library has; for a rigid part at the plate, take a "
+            "robot whose plate is at its end"
+        )
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
         raise InputError(f"prefix is {prefix!r}; it must be lower-case letters, digits and _, starting with a letter")
     space, centred = joint_space(robot), _is_centred(robot)

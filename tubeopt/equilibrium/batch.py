@@ -16,6 +16,7 @@ from ..block.transcription.arm import arc_lengths
 from ..display import Displayed
 from ..errors import InputError, SolveError, choice, positive
 from ..robots.assembly import LENGTH_ROUND_OFF
+from ..robots.eccentric import by_model
 from ..robots.limits import check_reach, check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -107,6 +108,7 @@ class EquilibriumBatch(Displayed):
 
 
 @typed
+@by_model
 @limited
 def forward_kinematics_batch(  # noqa: PLR0913
     robot: Robot,

@@ -28,7 +28,7 @@ from ..block.transcription.reduced import ReducedProblem, evaluate
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..errors import InputError, SolveError, choice, positive
 from ..files.field_metadata import POSITIVE, OneOf, unit
-from ..robots.eccentric import BundleRobot
+from ..robots.eccentric import BundleRobot, by_model
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot, joint_values
 from ..solvers.blas import small
@@ -463,6 +463,7 @@ Along = Callable[[Array], Array]
 
 @renamed(guess="start")
 @typed
+@by_model
 @limited
 def forward_kinematics(  # noqa: PLR0913
     robot: Robot,

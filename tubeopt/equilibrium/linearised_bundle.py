@@ -103,9 +103,10 @@ class LinearisedBundle:
                 "a curvature, or move it back until its curved part begins at the plate."
             )
         applied = self.state.problem.load
-        for name in {"sheath_rigid_length", "sheath_rigid_from"} & set(self.wrt) if applied is not None else ():
+        loaded = [] if applied is None else applied.cuts().tolist()
+        for name in {"sheath_rigid_length", "sheath_rigid_from"} & set(self.wrt):
             at = getattr(bundle, name.removeprefix("sheath_"))
-            if any(abs(s - at) <= SAME_PLACE for s in applied.cuts().tolist()):
+            if any(abs(s - at) <= SAME_PLACE for s in loaded):
                 raise InputError(f"wrt names {name!r}, but the load begins, ends or acts there, at {at:g} m")
         if self._moves_axes and self.state.problem.density:
             raise InputError("wrt names offset or angle under gravity; these have derivatives under other loads only")

@@ -179,7 +179,7 @@ def _check(robot: Robot, load: Load, translations: tuple[float, ...]) -> None:
     if robot.fixed_sections:
         assembly = assembly_of(robot, translations)
         if assembly.eccentric:
-            raise InputError("this robot is eccentric; only concentric robots and bundles can be loaded")
+            raise InputError("model of the robot is thesis, a balance of moments without loads; take the model energy")
         length = assembly.total_length
     else:
         length = max(d + tube.curved_length for d, tube in zip(translations, robot.tubes, strict=True))

@@ -363,7 +363,7 @@ SAME_BOUNDARY = 1e-8
 """Distance (m) along a tube below which two boundaries of a bundle are one."""
 
 
-class _Section(NamedTuple):
+class _BundleSection(NamedTuple):
     """Tubes (n,) between two boundaries of a bundle."""
 
     stiffness: Array
@@ -434,7 +434,7 @@ class _Channels:
         tip = math.inf if robot.sheath_rigid_from is None else robot.sheath_rigid_from
         return s < robot.sheath_rigid_length - SAME_BOUNDARY or s > tip - SAME_BOUNDARY
 
-    def section(self, left: Sequence[int], s: float) -> _Section:
+    def section(self, left: Sequence[int], s: float) -> _BundleSection:
         """Section that begins at an arc length s, with the boundaries `left` ahead."""
         kb, _, curved, _ = self.tubes
         there, bent, pull = np.zeros(len(kb)), curved.copy(), np.zeros(len(kb))
@@ -443,9 +443,9 @@ class _Channels:
             there[list(b.ends)] = 1.0
             bent[[i for i in b.tubes if i not in b.ends]] = 0.0
             pull[list(b.tubes[:1])] += self.multipliers[k]
-        return _Section(kb * there, bent * there, pull, self.is_rigid(s))
+        return _BundleSection(kb * there, bent * there, pull, self.is_rigid(s))
 
-    def curvature(self, y: Array, section: _Section) -> Array:
+    def curvature(self, y: Array, section: _BundleSection) -> Array:
         """(2,) curvature that balances the moment, by Newton's method; 0 where the sheath is rigid."""
         (kb, bent, pull, rigid), (_, kt, _, _), (_, lever) = section, self.tubes, self.places
         if rigid:
@@ -481,7 +481,7 @@ class _Channels:
         place = y[-18:-15] - self.equilibrium.tip_position + out @ y[-15:-6].reshape(3, 3)[:, :2].T
         return np.asarray(self.tubes[3] * (place @ gravity))
 
-    def potential(self, y: Array, section: _Section, u: Array) -> float:
+    def potential(self, y: Array, section: _BundleSection, u: Array) -> float:
         """Quantity that is the same on both sides of a boundary that slides, N."""
         (kb, bent, pull, _), (_, kt, _, _), (_, lever) = section, self.tubes, self.places
         n = len(kb)
@@ -491,7 +491,7 @@ class _Channels:
         sheath = self.equilibrium.robot.sheath_stiffness  # type: ignore[attr-defined]
         return float(g @ tubes + sheath * u @ u / 2 - self.moment(y) @ u)
 
-    def rates(self, s: float, y: Array, section: _Section) -> Array:
+    def rates(self, s: float, y: Array, section: _BundleSection) -> Array:
         """Derivatives of (theta, w, own length, p, R, n, M) by arc length."""
         (kb, bent, _, _), (_, kt, _, mass), (out, lever) = section, self.tubes, self.places
         n, on = len(kb), kb > 0

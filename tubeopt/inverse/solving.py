@@ -24,6 +24,7 @@ from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError, choice, instance, vector
+from ..robots.eccentric import by_model
 from ..robots.limits import JointLimits, check_target
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -87,6 +88,7 @@ def inverse_kinematics(
 
 @renamed(seed="start")
 @typed
+@by_model
 @small
 def inverse_kinematics(  # noqa: PLR0913
     robot: Robot,

@@ -17,6 +17,7 @@ one cross-section, but where one is t dz behind.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -85,3 +86,19 @@ def touching_offset(outer_diameter: float, rate: float, count: int = 3) -> float
         return float(closest.fun) - 1
 
     return float(scipy.optimize.brentq(excess, straight * (1 - 1e-9), 2 * straight, xtol=1e-13)) if rate else straight
+
+
+def spiral_rate(outer_diameter: float, room: float, count: int = 3) -> float:
+    """Rate (rad/m) at which `count` equal tubes that touch each other lie farther from the centreline by `room`, m."""
+    straight = touching_offset(outer_diameter, 0.0, count)
+    if room <= 0:
+        return 0.0
+
+    def excess(rate: float) -> float:
+        return touching_offset(outer_diameter, rate, count) - straight - room
+
+    # Small room grows with the square of the rate: offset^3 rate^2 / 8 for three tubes.
+    rate = math.sqrt(8 * room / straight**3)
+    while excess(rate) < 0:
+        rate *= 2
+    return float(scipy.optimize.brentq(excess, 0.0, rate, rtol=1e-9))

@@ -27,6 +27,7 @@ from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_REGION, typical_length
 from ..inverse.clock import Clock, OutOfTimeError
 from ..inverse.search import PathResult, find_path, shorten, without_corners
+from ..robots.eccentric import by_model
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -266,6 +267,7 @@ PROOF_SECONDS, PROOF_SECONDS_PER_SAMPLE = 0.1, 1e-3
 
 
 @typed
+@by_model
 @small
 def plan_trajectory(  # noqa: PLR0913
     robot: Robot,

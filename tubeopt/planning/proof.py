@@ -37,6 +37,7 @@ from ..files.field_metadata import TYPICAL_CLEARANCE, form, key, typical_length,
 from ..inverse.clock import Clock
 from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.calibration import PathBounds
+from ..robots.eccentric import by_model
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -445,6 +446,7 @@ class TrajectoryRequirements:
 
 
 @typed
+@by_model
 @small
 def verify_trajectory(  # noqa: PLR0913
     robot: Robot,

@@ -6,12 +6,15 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations, pairwise
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self, TypeVar
 
 import numpy as np
 
@@ -19,6 +22,7 @@ from ..arguments import typed
 from ..errors import InputError
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Typical, check_fields, unit
 from ..physics.buffer import STEEPEST, buffer_bend
+from ..physics.spiral import spiral_rate
 from ..physics.strain import surface_strain
 from ..typing import Array
 from .assembly import LENGTH_ROUND_OFF, Assembly, assemble
@@ -27,6 +31,16 @@ from .concentric import Friction, check_friction
 from .limits import JointLimits
 from .robot import Robot, keeps_hash
 from .tubes import Tube, must_be_plain
+
+Question = TypeVar("Question", bound=Callable[..., Any])
+
+MODELS = ("thesis", "energy")
+"""Models of three equal tubes: the balance of moments of the thesis, with tubes that end together, and an energy."""
+
+LARGEST_OFFSET = 0.05
+"""Largest offset times precurvature of the model thesis by default: tips of both models then differ by 0.3 % of the
+length.
+"""
 
 # Directions of the three tubes from the centreline, rad.
 PLACES = (0.0, 2 * math.pi / 3, -2 * math.pi / 3)
@@ -138,6 +152,7 @@ class SheathedRobot(Robot):
 
     offset: float | None
     buffer: Buffer | None
+    model: str | None
     nested_curves = False
 
     @property
@@ -160,6 +175,24 @@ class SheathedRobot(Robot):
     def tubes(self) -> tuple[Tube, ...]:  # type: ignore[override]  # nobody writes to a frozen robot
         """The 3 k tubes: three of the innermost segment, then three of the next."""
         return tuple(tube for tube in self.held for _ in range(3))
+
+    @property
+    def bent_offset(self) -> float:
+        """Largest offset times precurvature: the relative difference of the lengths of tubes in a bend."""
+        return self.distance * max(abs(tube.curvature) for tube in self.held)
+
+    def modelled(self, *, loaded: bool = False) -> Self | BundleRobot:
+        """This robot, or its bundle if no model is stated and the balance of moments is not enough.
+
+        That is so under loads or friction (`loaded`), and with an offset of more than LARGEST_OFFSET of a radius of
+        precurvature.
+        """
+        return self.bundle() if self.model is None and (loaded or self.bent_offset > LARGEST_OFFSET) else self
+
+    def check_model(self) -> None:
+        """Raise InputError for a model that is not that of this class."""
+        if self.model not in (None, "thesis"):
+            raise InputError(f"model is {self.model!r}; it must be thesis or None: bundle() has the model energy")
 
     def check_bends(self) -> None:
         """Raise InputError if a precurvature is tighter than the robot is thick."""
@@ -258,10 +291,13 @@ class EccentricRobot(SheathedRobot):
     """Section between drive and plate, in which the tubes merge; None without one."""
     posterior: Posterior | None = None
     """Uncertainty of the parameters after a fit; None if unknown."""
+    model: str | None = field(default=None, compare=False)
+    """"thesis" for this model under all conditions, which refuses loads; None takes the bundle under loads."""
 
     def __post_init__(self) -> None:
         must_be_plain([self.tube], "an eccentric robot")
         check_fields(self)
+        self.check_model()
         # Circumradius of the triangle with side OD that the centres of three touching tubes form.
         touching = self.tube.outer_diameter / math.sqrt(3)
         distance = touching if self.offset is None else self.offset
@@ -318,6 +354,8 @@ class SegmentedEccentricRobot(SheathedRobot):
     """Section between drive and plate, in which the tubes merge; None without one."""
     posterior: Posterior | None = None
     """Uncertainty of the parameters after a fit; None if unknown."""
+    model: str | None = field(default=None, compare=False)
+    """"thesis" for this model under all conditions, which refuses loads; None takes the bundle under loads."""
 
     def __post_init__(self) -> None:
         segments = tuple(self.segments)
@@ -339,6 +377,7 @@ class SegmentedEccentricRobot(SheathedRobot):
                 )
         widest = EccentricRobot(segments[-1], self.offset)
         object.__setattr__(self, "offset", widest.distance)
+        self.check_model()
         self.check_bends()
         self.check_drives()
 
@@ -500,8 +539,78 @@ class BundleRobot(Robot):
         )
 
 
+def by_model(function: Question) -> Question:
+    """Decorate a question: with a load or friction, an eccentric robot that states no model is asked as its bundle.
+
+    A question without a keyword `load` or `friction` is always about a load.
+    """
+    parameters = inspect.signature(function).parameters.values()
+    keywords = [
+        each.name for each in parameters if each.kind is each.KEYWORD_ONLY and each.name in ("load", "friction")
+    ]
+
+    @functools.wraps(function)
+    def asked(*args: Any, **kwargs: Any) -> Any:
+        """Ask the robot, or its bundle."""
+        robot = args[0] if args else kwargs.get("robot")
+        if isinstance(robot, SheathedRobot) and (
+            not keywords or any(kwargs.get(name) is not None for name in keywords)
+        ):
+            modelled = robot.modelled(loaded=True)
+
+            def of_model(value: Any) -> Any:
+                """The robot, and equilibria of it at the same joint values, by the model."""
+                if value is robot:
+                    return modelled
+                same = modelled is not robot and getattr(value, "robot", None) == robot
+                return modelled.fk(value.rotations, value.translations) if same else value
+
+            args, kwargs = tuple(map(of_model, args)), {name: of_model(value) for name, value in kwargs.items()}
+        return function(*args, **kwargs)
+
+    return asked  # type: ignore[return-value]
+
+
+def model_text(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> str:
+    """Model of an eccentric robot and the reason for it, as text."""
+    if isinstance(robot, BundleRobot):
+        bent = max(d * abs(tube.curvature) for d, tube in zip(robot.offset, robot.tubes, strict=True))
+        return f"energy of tubes of own length; offset times precurvature is up to {bent:.2g}"
+    why = "stated; " if robot.model is not None else "equal tubes, no load; "
+    return f"thesis: {why}offset times precurvature is {robot.bent_offset:.2g}"
+
+
 SAME_AXIS = 1e-9
 """Distance (m) below which two axes are one."""
+
+
+class Room(NamedTuple):
+    """Room of the tubes in a sheath."""
+
+    diameter: float
+    """Inner diameter of the sheath, m."""
+    width: float
+    """Distance by which all tubes could lie farther from the centreline, m."""
+    turns: float | None
+    """Turns of the tubes around each other for which this room is enough; None unless equal tubes touch all around."""
+
+
+def room_in_sheath(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> Room:
+    """Room of the tubes in the sheath of a robot, and how far they can spiral in it."""
+    radius = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
+    distance = np.linalg.norm(robot.axes, axis=1)
+    widest = 2 * float((distance + radius).max())
+    diameter = (robot.sheath_diameter if isinstance(robot, BundleRobot) else None) or widest
+    width = max(diameter - widest, 0.0) / 2
+    outside = [i for i in range(robot.n_tubes) if i not in {inner for inner, _ in robot.nested_pairs}]
+    around = np.sort(np.arctan2(*robot.axes[outside].T[::-1]))
+    count, outer = len(outside), 2 * float(radius[outside[0]])
+    touching = count > 1 and np.abs(distance[outside] - outer / (2 * math.sin(math.pi / count))).max() <= SAME_AXIS
+    even = np.abs(np.diff(around, append=around[0] + 2 * math.pi) - 2 * math.pi / count).max() <= 1e-6
+    if not touching or not even or np.ptp(radius[outside]) > 0:
+        return Room(diameter, width, None)
+    length = max(shift + tube.curved_length for shift, tube in zip(robot.home_translations, robot.tubes, strict=True))
+    return Room(diameter, width, spiral_rate(outer, width, count) * float(length) / (2 * math.pi))
 
 
 class Channel(NamedTuple):

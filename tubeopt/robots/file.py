@@ -30,7 +30,7 @@ from ..files.yaml_file import load_yaml, to_yaml
 from ..typing import Array
 from .calibration import TABLES, Calibration, Posterior
 from .concentric import ConcentricRobot, Friction, friction_of
-from .eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
+from .eccentric import LARGEST_OFFSET, BundleRobot, EccentricRobot, SegmentedEccentricRobot, SheathedRobot
 from .limits import JointLimits, reading_fault
 from .materials import MATERIALS, NITINOL, Material
 from .passport import Passport, load_passport
@@ -442,7 +442,9 @@ class ConcentricEntry(RobotEntry):
 
 Model = Literal["thesis", "energy"]
 MODEL: Any = Field(
-    "thesis", description="thesis: a balance of moments, with tubes that end together; energy: that of a bundle"
+    None,
+    description="thesis: a balance of moments, with tubes that end together; energy: that of a bundle; default thesis, "
+    f"energy under loads and friction, and for offset times curvature above {LARGEST_OFFSET:g}",
 )
 
 
@@ -452,12 +454,13 @@ class EccentricEntry(RobotEntry):
 
     kind: Literal["eccentric"]
     tube: TubeEntry
-    model: Model = MODEL
+    model: Model | None = MODEL
 
     def build(self) -> EccentricRobot | BundleRobot:
         """Robot in SI."""
-        robot = EccentricRobot(self.tube.build(), **values(EccentricRobot, self), **self.common())
-        return robot.bundle() if self.model == "energy" else robot
+        stated = "thesis" if self.model == "thesis" else None
+        robot = EccentricRobot(self.tube.build(), **values(EccentricRobot, self), **self.common(), model=stated)
+        return robot.bundle() if self.model == "energy" else robot.modelled()
 
 
 @keys_from(SegmentedEccentricRobot)
@@ -466,13 +469,14 @@ class SegmentedEccentricEntry(RobotEntry):
 
     kind: Literal["segmented_eccentric"]
     segments: list[TubeEntry] = Field(min_length=1)
-    model: Model = MODEL
+    model: Model | None = MODEL
 
     def build(self) -> SegmentedEccentricRobot | BundleRobot:
         """Robot in SI."""
         segments = tuple(tube.build() for tube in self.segments)
-        robot = SegmentedEccentricRobot(segments, **values(SegmentedEccentricRobot, self), **self.common())
-        return robot.bundle() if self.model == "energy" else robot
+        given, stated = values(SegmentedEccentricRobot, self), "thesis" if self.model == "thesis" else None
+        robot = SegmentedEccentricRobot(segments, **given, **self.common(), model=stated)
+        return robot.bundle() if self.model == "energy" else robot.modelled()
 
 
 OF_BUNDLE = (
@@ -624,6 +628,8 @@ def robot_to_dict(robot: Robot) -> dict[str, Any]:
         )
     else:
         raise InputError(f"robot is a {type(robot).__name__}; it must be one of {', '.join(ROBOT_KINDS)}")
+    if isinstance(robot, SheathedRobot) and (robot.model is not None or robot.modelled() is not robot):
+        data["model"] = "thesis"
     if robot.joint_limits is not None:
         data["limits"] = to_data(robot.joint_limits)
     if robot.calibration is not None:

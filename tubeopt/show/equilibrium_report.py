@@ -15,7 +15,17 @@ from ..equilibrium.file import save_equilibrium
 from ..equilibrium.result import Equilibrium, Verification, WallForce
 from ..files.units import TO_MILLI, TO_MM
 from ..robots.concentric import ConcentricRobot, friction_of
-from ..robots.eccentric import BufferedTube, buffered_tubes, free_channel
+from ..robots.eccentric import (
+    SAME_AXIS,
+    BufferedTube,
+    BundleRobot,
+    EccentricRobot,
+    SegmentedEccentricRobot,
+    buffered_tubes,
+    free_channel,
+    model_text,
+    room_in_sheath,
+)
 from ..robots.file import AnyRobot
 from ..robots.order import ends_inside
 from ..robots.robot import Robot, clearances, fit_warnings
@@ -75,6 +85,20 @@ BUFFERED: tuple[Quantity[BufferedTube], ...] = (
     Quantity("slide_play_mm", "change of length in the buffer between both sides of the room", digits=9),
 )
 
+SHEATH: tuple[Quantity[BundleRobot | EccentricRobot | SegmentedEccentricRobot], ...] = (
+    Quantity("diameter_mm", "inner diameter", lambda robot: room_in_sheath(robot).diameter, digits=9),
+    Quantity("room_mm", "distance by which all tubes could lie farther from the centreline",
+             lambda robot: room_in_sheath(robot).width, digits=9),
+    Quantity("turns",
+             "turns of the tubes around each other for which this is enough; null unless equal tubes touch all around",
+              lambda robot: room_in_sheath(robot).turns),
+    Quantity("stiffness_N_mm2", "bending stiffness", lambda robot: getattr(robot, "sheath_stiffness", 0.0)),
+    Quantity("rigid_length_mm", "length of the rigid part at the plate",
+             lambda robot: getattr(robot, "sheath_rigid_length", 0.0), digits=9),
+    Quantity("rigid_from_mm", "length in front of the rigid tip; null without one",
+             lambda robot: getattr(robot, "sheath_rigid_from", None), digits=9),
+)  # fmt: skip
+
 ROBOT: tuple[Quantity[Robot], ...] = (
     Quantity("robot", "name of the robot", lambda robot: robot.name),
     Quantity("tubes", "the tubes, inner to outer", lambda robot: _tubes(robot), of=NESTED),
@@ -84,6 +108,19 @@ ROBOT: tuple[Quantity[Robot], ...] = (
         "diameter of the largest free circle along the robot, between its tubes or in one; absent of concentric robots",
         lambda robot: _channel(robot),
         digits=9,
+        optional=True,
+    ),
+    Quantity(
+        "model",
+        "model of an eccentric robot: thesis (balance of moments) or energy; absent of concentric robots",
+        lambda robot: model_name(robot),
+        optional=True,
+    ),
+    Quantity(
+        "sheath",
+        "the sheath of an eccentric robot; absent of concentric robots",
+        lambda robot: _sheath(robot),
+        of=SHEATH,
         optional=True,
     ),
     Quantity(
@@ -115,6 +152,33 @@ def _buffer_text(robot: Robot) -> str:
         f"and {100 * most.strain:.3g} % strain, and takes {most.length * TO_MM:.4g} mm of straight tube. It pushes "
         f"with {most.push:.3g} N, across with {most.force:.3g} N"
     ) + (f". Play: up to {' and '.join(plays)}" if plays else "")
+
+
+def _sheath(robot: Robot) -> Robot | None:
+    """The robot, whose sheath is described; None for concentric robots."""
+    return None if isinstance(robot, ConcentricRobot) else robot
+
+
+def _sheath_text(robot: Robot) -> str:
+    """Text of the sheath, and how far the tubes can spiral in it; "" for concentric robots."""
+    if isinstance(robot, ConcentricRobot):
+        return ""
+    room, words = room_in_sheath(robot), []  # type: ignore[arg-type]
+    if isinstance(robot, BundleRobot):
+        words += [f"{robot.sheath_stiffness * 1e6:.4g} N mm² stiff"] if robot.sheath_stiffness else []
+        words += [f"rigid up to {robot.sheath_rigid_length * TO_MM:.4g} mm"] if robot.sheath_rigid_length else []
+        words += [f"rigid from {robot.sheath_rigid_from * TO_MM:.4g} mm on"] if robot.sheath_rigid_from else []
+    if room.width > SAME_AXIS:
+        words.append(f"with {room.width * TO_MM:.3g} mm of room on each side")
+    else:
+        words.append("without room")
+    spiral = f". In it the tubes can spiral by {room.turns:.2g} turns" if room.turns else ""
+    return f"sheath: inner diameter {room.diameter * TO_MM:.4g} mm, {', '.join(words)}{spiral}"
+
+
+def model_name(robot: Robot) -> str | None:
+    """Name of the model of an eccentric robot; None for concentric robots."""
+    return None if isinstance(robot, ConcentricRobot) else "energy" if isinstance(robot, BundleRobot) else "thesis"
 
 
 def _channel(robot: Robot) -> float | None:
@@ -160,7 +224,11 @@ class RobotReport(Report[AnyRobot]):
         home = [Text(reason)] if (reason := _home_reason(self.answer)) else []
         channel = [Text(text)] if (text := _channel_text(self.answer)) else []
         buffer = [Text(text)] if (text := _buffer_text(self.answer)) else []
-        return Group(properties, *channel, *buffer, *home, *(lines or [Text("no warnings", style="green")]))
+        sheath = [Text(text)] if (text := _sheath_text(self.answer)) else []
+        model = [] if isinstance(self.answer, ConcentricRobot) else [Text(f"model: {model_text(self.answer)}")]
+        return Group(
+            properties, *model, *channel, *sheath, *buffer, *home, *(lines or [Text("no warnings", style="green")])
+        )
 
 
 def _home_reason(robot: Robot) -> str:
@@ -247,6 +315,8 @@ def _contact_text(e: Equilibrium) -> str | None:
 EQUILIBRIUM = described(
     Equilibrium,
     Quantity("robot", "name of the robot", lambda e: e.robot.name),
+    Quantity("model", "model of an eccentric robot: thesis or energy; absent of concentric robots",
+             lambda e: model_name(e.robot), optional=True, label="model", text=lambda e: _model_of(e)),
     "rotations translations",
     *readings(lambda e: e),
     Quantity("status", "result of the solve", lambda e: e.status.name),
@@ -285,6 +355,13 @@ EQUILIBRIUM = described(
     Quantity("statistics", "method, mesh, iterations and time", lambda e: dict(vars(e.statistics)), label="solved",
              text=lambda e: _solver_text(e)),
 )  # fmt: skip
+
+
+def _model_of(e: Equilibrium) -> str | None:
+    """Model of an equilibrium and the reason for it, as text; None for concentric robots."""
+    if isinstance(e.robot, ConcentricRobot):
+        return None
+    return model_text(e.robot) + (", under a load" if e.load is not None else "")  # type: ignore[arg-type]
 
 
 def by_history(e: Equilibrium) -> Array | None:

@@ -23,6 +23,7 @@ from ..equilibrium.result import Equilibrium, refuse_contact, refuse_load
 from ..equilibrium.wall_contact import Walls
 from ..errors import InputError, SolveError, vector
 from ..robots.concentric import Friction
+from ..robots.eccentric import by_model
 from ..robots.limits import check_turn
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -179,6 +180,7 @@ def _refined(part: PathStretch, *, ends_in_snap: bool) -> PathStretch:
 
 
 @typed
+@by_model
 @small
 @limited
 def follow(  # noqa: PLR0913
@@ -298,6 +300,7 @@ Configuration = tuple[ArrayLike, ArrayLike | None]
 
 
 @typed
+@by_model
 @small
 @limited
 def find_snap(

@@ -17,6 +17,7 @@ from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import InputError, SolveError, positive
 from ..files.field_metadata import unit
+from ..robots.eccentric import by_model
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.blas import small
@@ -82,6 +83,7 @@ class LoadLimit(Displayed):
 
 
 @typed
+@by_model
 @small
 @limited
 def find_load_limit(

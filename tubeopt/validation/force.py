@@ -26,6 +26,7 @@ from ..errors import (
 )
 from ..files.field_metadata import POSITIVE, TYPICAL_NOISE, OneOf, form, typical_length, unit
 from ..robots.concentric import ConcentricRobot
+from ..robots.eccentric import by_model
 from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
@@ -222,6 +223,7 @@ class ForceRecord(Displayed):
 
 
 @typed
+@by_model
 @small
 @limited
 def estimate_forces(
@@ -324,6 +326,7 @@ def _of_plate(robot: Robot, measurements: Measurements, method: str | None) -> A
 
 @renamed(guess="start")
 @typed
+@by_model
 @small
 @limited
 def estimate_force(  # noqa: PLR0913

@@ -179,7 +179,8 @@ def natural_start(bundle: Bundle, rotations: Array, places: Sequence[float] = ()
     """Arm of untwisted tubes, marched from the plate: each section ends at the first boundary that its tubes reach."""
     left = boundaries(bundle, places)
     n = len(rotations)
-    done, arc, order, lengths, curvatures = np.zeros(n), 0.0, [], [], []
+    order: list[Boundary] = []
+    done, arc, lengths, curvatures = np.zeros(n), 0.0, [], []
     direction = np.column_stack([np.cos(rotations), np.sin(rotations)])
     while any(b.ends for b in left):
         present, curved = tubes_at(bundle, left)
