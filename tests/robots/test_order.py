@@ -11,7 +11,7 @@ import tubeopt
 from tests.examples import CONFIGS, CRL, THESIS, TWO_TUBE
 from tubeopt.inverse.joints import joint_space
 from tubeopt.robots.limits import JointLimits
-from tubeopt.robots.order import ends_inside, tip_tube
+from tubeopt.robots.order import demands, ends_inside, in_order, tip_tube, translation_ranges
 from tubeopt.robots.robot import Robot
 from tubeopt.runs.robot_keys import joints_of
 from tubeopt.show.plots.style import caption
@@ -105,3 +105,21 @@ def test_carriages_out_of_order_are_a_remark() -> None:
         "the tip is the end of tube 1, and tube 2 ends inside an outer tube, at waypoint 2",
         "the tip is the end of tube 2, and tube 1 ends inside an outer tube, at waypoint 3",
     ]
+
+
+def test_carriages_of_segments_may_be_one_per_tube() -> None:
+    robot = tubeopt.load_robot("example_three_segment_etr")
+    assert isinstance(robot, tubeopt.SegmentedEccentricRobot)
+    own = replace(robot.bundle(), carriages=None)
+    assert own.home_translations == pytest.approx(robot.home_translations, abs=1e-12)
+    rng = np.random.default_rng(0)
+    low, high = translation_ranges(own.tubes, own.limits)
+    for _ in range(20):
+        shift = in_order(own, (low, high), demands(own), lambda a, b: rng.uniform(a, max(a, b)))
+        assert shift is not None
+        assert (shift >= low - 1e-12).all()
+        assert (shift <= high + 1e-12).all()
+        for each in demands(own):
+            assert shift[each.ahead] - shift[each.behind] >= each.distance - 1e-12
+    # The outermost tube of one stack, drawn in, leaves no place to those inside of it.
+    assert in_order(own, (np.append(low[:-1], 0.1), np.append(high[:-1], 0.1)), demands(own), max) is None

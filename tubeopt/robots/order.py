@@ -146,32 +146,25 @@ def in_order(
     Each is chosen from the interval that leaves a place to all carriages inside of it. None if an interval is empty.
     """
     groups = robot.moving_together
-    of = {tube: k for k, tubes in enumerate(groups) for tube in tubes}
-    # Carriage k is ahead of the next outer one by at least least[k], at most most[k].
-    lower, upper = np.full(len(groups), -np.inf), np.full(len(groups), np.inf)
-    for demand in order:
-        k, o = of[demand.ahead], of[demand.behind]
-        if k < o:
-            lower[k] = max(lower[k], demand.distance)
-        else:
-            upper[o] = min(upper[o], -demand.distance)
-    # Differences along a chain: from the innermost outwards, the interval that leaves a place to all carriages inside.
-    interval: list[tuple[float, float]] = []
+    of, plate = {tube: k for k, tubes in enumerate(groups) for tube in tubes}, len(groups)
+    # most[a, b] is the largest translation of carriage a less that of b; the last row and column stand for 0.
+    most = np.where(np.eye(plate + 1), 0.0, np.inf)
     for k, tubes in enumerate(groups):
-        bottom, top = float(ranges[0][list(tubes)].max()), float(ranges[1][list(tubes)].min())
-        if k:
-            bottom, top = max(bottom, interval[-1][0] - upper[k - 1]), min(top, interval[-1][1] - lower[k - 1])
-        if bottom > top + LENGTH_ROUND_OFF or lower[k] > upper[k] + LENGTH_ROUND_OFF:
-            return None
-        interval.append((bottom, top))
-    # Back from the outermost, every choice in its interval can be continued: no choice is ever undone.
-    out, outer = np.zeros(len(of)), 0.0
-    for k in reversed(range(len(groups))):
-        bottom, top = interval[k]
-        if k < len(groups) - 1:
-            bottom, top = max(bottom, outer + lower[k]), min(top, outer + upper[k])
-        outer = choose(bottom, top)
-        out[list(groups[k])] = outer
+        most[plate, k], most[k, plate] = -ranges[0][list(tubes)].max(), ranges[1][list(tubes)].min()
+    for demand in order:
+        pair = of[demand.behind], of[demand.ahead]
+        most[pair] = min(most[pair], -demand.distance)
+    for k in range(plate + 1):
+        most = np.minimum(most, most[:, [k]] + most[[k]])
+    if (np.diag(most) < -LENGTH_ROUND_OFF).any():
+        return None
+    # Every value between the tightest bounds leaves a place to all other carriages: no choice is ever undone.
+    out = np.zeros(len(of))
+    for k in reversed(range(plate)):
+        value = choose(float(-most[plate, k]), float(most[k, plate]))
+        most[plate, k], most[k, plate], out[list(groups[k])] = -value, value, value
+        for through in (k, plate):
+            most = np.minimum(most, most[:, [through]] + most[[through]])
     return out
 
 
