@@ -213,7 +213,7 @@ def test_rigid_parts_of_the_sheath_are_free() -> None:
     assert q.quantity(Quantity("sheath_rigid_from"))[0] == pytest.approx(0.09)
     with pytest.raises(InputError, match="there is a proof for flexible tips only: require SnapFreeInUse"):
         DesignTask(robot, EQUAL[:1], (SnapFree(0.3),))
-    with pytest.raises(InputError, match="needs a robot whose sheath has a rigid tip"):
+    with pytest.raises(InputError, match="needs a sheath with a rigid tip"):
         DesignTask(thesis(), (tip,))
 
 

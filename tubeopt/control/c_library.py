@@ -111,8 +111,8 @@ def c_library(
         raise InputError(f"robot has {robot.n_tubes} tubes; a C library is made of at most {MOST_TUBES}")
     if isinstance(robot, BundleRobot) and (robot.sheath_rigid_length or robot.sheath_rigid_from is not None):
         raise InputError(
-            "the sheath of the robot has a rigid part, which no C library has; for a rigid part at the plate, take a "
-            "robot whose plate is at its end"
+            "the sheath of the robot has a rigid part, which no C library has; for a rigid part at the plate, move "
+            "the plate to its end"
         )
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix):
         raise InputError(f"prefix is {prefix!r}; it must be lower-case letters, digits and _, starting with a letter")

@@ -596,7 +596,7 @@ def design_space(robot: Robot, free: Sequence[Free]) -> DesignSpace:
         if of_bundles and not is_bundle:
             raise InputError(f"free {NAMES[dimension.field]} is a dimension of eccentric robots; the tubes are nested")
         if dimension.field == "sheath_rigid_from" and getattr(robot, dimension.field) is None:
-            raise InputError(f"free {NAMES[dimension.field]} needs a robot whose sheath has a rigid tip")
+            raise InputError(f"free {NAMES[dimension.field]} needs a sheath with a rigid tip")
         if is_bundle and dimension.field in PIECE_FIELDS:
             raise InputError(f"free {NAMES[dimension.field]} is a dimension of nested tubes; the robot is eccentric")
         for i in dimension.tubes:

@@ -386,7 +386,7 @@ def _check_bundle(task: DesignTask, robot: BundleRobot) -> None:
                 )
             if robot.sheath_rigid_from is not None:
                 raise InputError(
-                    "SnapFree is required of a robot whose sheath has a rigid tip; there is a proof for flexible tips "
+                    "SnapFree is required with a rigid tip of the sheath; there is a proof for flexible tips "
                     "only: require SnapFreeInUse"
                 )
             for row in requirement.translations or ():

@@ -416,7 +416,7 @@ class BundleRobot(Robot):
     sheath_rigid_from: Annotated[
         float | None, unit("mm"), POSITIVE, "length of the sheath in front of its rigid tip; default no rigid tip"
     ] = None
-    """Arc length of the sheath from which on it is rigid and straight, m; None if its tip is flexible."""
+    """Length of the sheath in front of its rigid and straight tip, m; None if the tip is flexible."""
     name: str = ""
     """Name in tables and figures."""
     joint_limits: JointLimits | None = None

@@ -87,7 +87,7 @@ BUFFERED: tuple[Quantity[BufferedTube], ...] = (
 
 SHEATH: tuple[Quantity[BundleRobot | EccentricRobot | SegmentedEccentricRobot], ...] = (
     Quantity("diameter_mm", "inner diameter", lambda robot: room_in_sheath(robot).diameter, digits=9),
-    Quantity("room_mm", "distance by which all tubes could lie farther from the centreline",
+    Quantity("room_mm", "free distance between the tubes and the sheath, on each side",
              lambda robot: room_in_sheath(robot).width, digits=9),
     Quantity("turns",
              "turns of the tubes around each other for which this is enough; null unless equal tubes touch all around",
