@@ -2,7 +2,7 @@
 
 While the robot rests, a second servo, the scout, goes from there straight to joint values spread over the ranges, as
 far as the guard lets it, and descends to the target. The robot then follows the path of the scout that came closest.
-This is repeated until no scout comes closer. The scout takes one step in each step of the robot, so their time is
+This is repeated until no scout comes closer. The scout takes few steps in each step of the robot, so their time is
 bounded.
 The C library has the same search (`control/c/seek.c`).
 """
@@ -27,6 +27,9 @@ from .command import Command, ServoOptions, ServoStep, Why
 
 # Starts of a scout: out of reach most descents end at one of few minima.
 TRIALS = 48
+
+# Part of a cycle, s, for one step of the scout, which takes a millisecond: most of the cycle is left to the caller.
+SCOUT_TIME = 2.5e-3
 
 # Searches for one target at most; each but the last has found a closer pose.
 ROUNDS = 4
@@ -129,7 +132,9 @@ class ClosestSearch:
             if not self._best_path or self._still == STILL:
                 self._stage, self._still = Stage.TOWARDS, 0
         elif self._stage is not Stage.TOWARDS:
-            self._seek(command)
+            for _ in range(max(1, int(dt / SCOUT_TIME))):
+                if self._stage in (Stage.OUT, Stage.DOWN, Stage.STRAIGHT):
+                    self._seek(command)
         elif self._still == STILL and self._round < ROUNDS:
             self._begin(command)
         return step if self._stage is Stage.TOWARDS else replace(step, why=step.why | Why.SEEKING)
