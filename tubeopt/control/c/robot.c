@@ -395,9 +395,14 @@ double tubeopt_snap_distance(tubeopt_memory *m, double most) {
     if (!m->started || refresh(m)) return -1;
 #if TUBEOPT_LOADS
     tubeopt_joints same = m->joints;
-    if (m->bears) return bear_to(m, &same, 0) || !couple_loaded(m) ? -1 : tubeopt_bearing_turn(room_of(m), most, TURN_PRECISION);
+    if (m->bears && bear_to(m, &same, 0)) return -1;
 #endif
-    return couple(m) ? largest_turn(&m->work.couplings, most, TURN_PRECISION) : -1;
+    if (!couple(m)) return -1;
+    double turn = largest_turn(&m->work.couplings, most, TURN_PRECISION); /* without a load: it may be released */
+#if TUBEOPT_LOADS
+    if (m->bears) turn = tubeopt_bearing_turn(room_of(m), fmin(most, turn), TURN_PRECISION);
+#endif
+    return turn;
 #else
     (void)m, (void)most;
     return -1;

@@ -176,8 +176,9 @@ tubeopt_status tubeopt_estimate_at(const tubeopt_estimator *estimator, double ti
 tubeopt_status tubeopt_slopes_at(tubeopt_memory *memory, tubeopt_slopes *slopes);
 
 /* Turn of all tubes, rad, each either way and in any order, that is proved to cause no snap at the last equilibrium. At most
-   `most`, or INFINITY where no turn can snap; -1 where it is not known: off the centreline, of five tubes. Under a load that stays
-   as it is at most pi. Whether it is `most` takes 0.1 ms, under a load 1 to 8 ms; a smaller one 1 ms, and 6 to 120 ms. */
+   `most`, or INFINITY where no turn can snap; -1 where it is not known: off the centreline, of five tubes. Under a load it holds
+   for that load and without it, and is at most pi. Whether it is `most` takes 0.1 ms, under a load 1 to 8 ms. A smaller one takes
+   1 ms, under a load 6 to 120 ms. */
 double tubeopt_snap_distance(tubeopt_memory *memory, double most);
 
 /* Time, s, at most `most`, within which it is proved that nothing snaps while each joint moves either way, at up to these rates
