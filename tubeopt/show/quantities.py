@@ -330,7 +330,7 @@ def distance_text(distance: float | None, where: str = "") -> str | None:
 SNAP_DISTANCE: tuple[Quantity[Equilibrium], ...] = (
     Quantity("snap_distance_deg",
              "all tubes can turn by this much, each either way and in any order, without a snap: proved; null if no "
-             "turn can snap; absent if unknown, as under load",
+             "turn can snap; absent if unknown, as under a moment",
              lambda e: known_distance(lambda: e.snap_distance), optional=True),
     line("snap distance", lambda e: distance_text(known_distance(lambda: e.snap_distance))),
 )  # fmt: skip
