@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,7 @@ from ..block.transcription.bundle import (
     solved_order,
     start_unknowns,
     tip_slopes,
+    together,
 )
 from ..block.transcription.collocated import ENDS
 from ..block.transcription.tableau import tableau
@@ -58,6 +60,9 @@ from .result import Equilibrium
 
 SETTLE = partial(full_steps, iterations=4)
 """Newton's method for a state that is known but in a section without length."""
+
+RESCALED = 10.0
+"""Change of a length, as a factor, after which unknowns are whitened again, for shifts of their Hessian."""
 
 EXCHANGES = 20
 """Maximum number of exchanges of boundaries; 94 of 100 random robots of two to four tubes needed none."""
@@ -165,6 +170,8 @@ class Bundled(Member[BundleState]):
     discretisation: Discretisation = DEFAULT_DISCRETISATION
     factor: float = 1.0
     """Factor on the load of the problem."""
+    patient: bool = False
+    """True if a step never closes a section, but makes it half as long at most."""
 
     @staticmethod
     def of(
@@ -296,20 +303,33 @@ class Bundled(Member[BundleState]):
 
     def advanced(self, state: BundleState, step: Array) -> BundleState:
         """State after a step, with all lengths above 0; raises VanishingError if the length of a section vanishes."""
-        problem = self.problem
+        problem = state.problem
         after = problem.push(step)
         h, g = problem.lengths(state.x), state.length
         dh = problem.lengths_by_bend @ (problem.bend_map @ step[problem.split :])
         dg = np.where(problem.present, after[:, -1:] + after[:, -3:-1] @ problem.bundle.levers.T, 0.0)
         free = np.setdiff1d(np.arange(len(h)), problem.held)
         # A section that a step makes a thousand times shorter is one that closes: its curvature is unknown then.
-        closing = free[(h[free] < CLOSING) & (h[free] + dh[free] <= np.maximum(VANISHING, 1e-3 * h[free]))]
+        limit = 2 * VANISHING if self.patient else CLOSING
+        closing = free[(h[free] < limit) & (h[free] + dh[free] <= np.maximum(VANISHING, 1e-3 * h[free]))]
         if len(closing):
             raise VanishingError(state, int(closing[0]))
         with np.errstate(divide="ignore", invalid="ignore"):
             step_limits = np.concatenate([(-h / dh)[free][dh[free] < 0], (-g / dg)[dg < 0]])
         fraction = float(step_limits.min(initial=np.inf))
-        return self.at(state.x + (1.0 if fraction > 1 else TO_BOUNDARY * fraction) * step)
+        return self.owner(state).at_scale(state.x + (1.0 if fraction > 1 else TO_BOUNDARY * fraction) * step)
+
+    def at_scale(self, x: Array) -> BundleState:
+        """State at unknowns x (U,), in unknowns that are whitened for lengths close to its own."""
+        problem, h = self.problem, self.problem.lengths(x)
+        ratio = np.delete(h / problem.nominal, problem.held)
+        if not len(ratio) or not ratio.min() > 0 or max(ratio.max(), 1 / ratio.min()) < RESCALED:
+            return self.at(x)
+        nominal = h.copy()
+        nominal[[*problem.held]] = HELD
+        scaled = replace(problem, nominal=nominal)
+        (turn, twist), bend = problem.torsion(x), problem.bend(x)
+        return replace(self, problem=scaled).at(scaled.unknowns(turn, bend, twist))
 
     def newton(
         self,
@@ -322,11 +342,11 @@ class Bundled(Member[BundleState]):
         A section that vanishes is exchanged: the boundaries at its ends change places. Where it vanishes in both orders
         its boundaries stay together. They separate again as soon as this lowers the energy.
         """
-        member, exchanges, freed, spent = self, set[frozenset[object]](), set[frozenset[object]](), 0
+        member, exchanges, freed, spent = self, set[frozenset[object]](), list[object](), 0
         for _ in range(EXCHANGES):
             check_time()
             try:
-                start = member.at(opened(member.problem, x, VANISHING))
+                start = member.at_scale(opened(member.problem, x, VANISHING))
                 result = method(start, member.advanced, member.largest_rotation, member.residual)
             except VanishingError as end:
                 order = member.problem.order
@@ -338,38 +358,55 @@ class Bundled(Member[BundleState]):
                 member = replace(member, problem=problem)
                 continue
             spent += result.iterations
-            apart = member.separated(result.state, freed, settle or SETTLE) if result.converged else None
+            found = member.owner(result.state)
+            apart = found.separated(result.state, freed, settle or SETTLE) if result.converged else None
             if apart is None:
                 # After a change the first steps open a section, and say nothing about the branch.
                 contraction = 0.0 if member is not self else result.contraction
                 return replace(result, iterations=spent, contraction=contraction if result.converged else np.inf)
             problem, x = apart
-            member = replace(member, problem=problem)
+            # Sections that have closed a second time may have done so by a step that was too long.
+            member = replace(member, problem=problem, patient=len(freed) > len(set(freed)))
         return NewtonResult(member.at(x), False, spent, np.inf)
 
     def separated(
-        self, state: BundleState, freed: set[frozenset[object]], settle: Callable[..., NewtonResult[BundleState]]
+        self, state: BundleState, freed: list[object], settle: Callable[..., NewtonResult[BundleState]]
     ) -> tuple[BundleProblem, Array] | None:
-        """Problem and unknowns after a section of length 0 is freed, in one of both orders; None if none would grow.
+        """Problem and unknowns after boundaries that are together separate into two groups; None if none would.
 
-        A section may grow once per solve; if it vanishes again, it is shorter than VANISHING. `freed` are the
-        boundaries that have been freed; `settle` solves in few steps.
+        Of boundaries that are together any may come first. To first order the energy of small gaps between them is the
+        sum of those of each gap, which depends on the group before it only: it is a minimum if no single gap lowers it.
+
+        Args:
+            freed: pairs of groups that have separated; each may do so twice in a solve.
+            settle: solves in few steps.
         """
         problem = self.problem
-        for section, force in zip(problem.held, holding_forces(state).tolist(), strict=True):
-            pair, rest = frozenset(problem.order[section - 1 : section + 1]), tuple(set(problem.held) - {section})
-            if pair in freed or not section:
+        for chain in together(problem.held):
+            first, last = chain[0] - 1, chain[-1]
+            meeting = problem.order[first : last + 1]
+            if first < 0:
                 continue
-            if force < 0:
-                freed.add(pair)
-                return rearranged(state, problem.order, tuple(sorted(rest)))
-            across, x = exchanged(state, section, hold=True)
-            other = replace(self, problem=across)
-            # The state is the same but in the held section: few steps settle it.
-            result = settle(other.at(x), other.advanced, other.largest_rotation, other.residual)
-            if result.converged and holding_forces(result.state)[across.held.index(section)] < 0:
-                freed.add(pair)
-                return rearranged(result.state, across.order, tuple(sorted(rest)))
+            # First the groups of the present order.
+            groups = [group for k in range(1, len(meeting)) for group in combinations(meeting, k)]
+            for group in sorted(groups, key=lambda group: group != meeting[: len(group)]):
+                rest = tuple(b for b in meeting if b not in group)
+                pair, section = frozenset([frozenset(group), frozenset(rest)]), first + len(group)
+                if freed.count(pair) > 1:
+                    continue
+                order = (*problem.order[:first], *group, *rest, *problem.order[last + 1 :])
+                found = state
+                if order != problem.order:
+                    known, x = rearranged(state, order, problem.held)
+                    other = replace(self, problem=known)
+                    # The state is the same but in the held sections: few steps settle it.
+                    result = settle(other.at(x), other.advanced, other.largest_rotation, other.residual)
+                    if not result.converged:
+                        continue
+                    found = result.state
+                if holding_forces(found)[problem.held.index(section)] < 0:
+                    freed.append(pair)
+                    return rearranged(found, order, tuple(k for k in problem.held if k != section))
         return None
 
     def moved(self, state: BundleState, step: Array) -> BundleState:
@@ -388,13 +425,13 @@ class Bundled(Member[BundleState]):
         except VanishingError as end:
             return NewtonResult(end.state, False, 0, np.inf)
 
-    def released(self, state: BundleState, freed: set[frozenset[object]]) -> BundleState | None:
-        """State from which a descent continues after a section of length 0 is freed; None if none would grow."""
+    def released(self, state: BundleState, freed: list[object]) -> BundleState | None:
+        """State from which a descent continues after boundaries separate; None if none would."""
         apart = self.separated(state, freed, SETTLE)
         if apart is None:
             return None
         member = replace(self, problem=apart[0])
-        start = member.at(opened(member.problem, apart[1], VANISHING))
+        start = member.at_scale(opened(member.problem, apart[1], VANISHING))
         return start if np.isfinite(start.energy) else None
 
     # --- Answers ------------------------------------------------------------------------------------------------------

@@ -243,10 +243,10 @@ class Member(ABC, Generic[S]):
         """Solution next to a state at the end of a descent."""
         return self.solve(state.x, iterations=4)
 
-    def released(self, state: S, freed: set[frozenset[object]]) -> S | None:
+    def released(self, state: S, freed: list[object]) -> S | None:
         """State from which a descent continues after a constraint is released; None if no constraint was active.
 
-        `freed` are the constraints that were released before, once each.
+        `freed` are the constraints that were released before.
         """
         return None
 

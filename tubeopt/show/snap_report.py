@@ -348,6 +348,7 @@ SHOWN = 20
 HAPPENS = {
     "fold": "the equilibrium vanishes, and the robot snaps",
     "bifurcation": "the equilibrium turns unstable, and the robot leaves it to one of two sides",
+    "ends": "ends of tubes separate or pass each other, and the robot snaps",
     "flutter": "the equilibrium turns unstable: slow oscillations about it grow",
 }
 

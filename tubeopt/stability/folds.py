@@ -43,6 +43,9 @@ WIDEST = 1e-3
 NUDGE = 1e-2
 """Push (rad) along the softest direction that starts a fall."""
 
+MIN_JUMP = 1e-3
+"""Rotation (rad) of a point above which the equilibrium after a fall differs from the one that was lost."""
+
 # Beyond this distance the two branches of a bifurcation are distinct by its square root, 0.01 rad.
 PAST = 1e-4
 """Distance in t, or fraction of a load, to a point beyond a smooth change of branch."""
@@ -114,11 +117,13 @@ class Loss:
     """Point where a stable branch ends."""
 
     point: AnyPoint
-    """Equilibrium at the loss of stability, with margin 0."""
+    """Equilibrium at the loss of stability, with margin 0 but for the kind "ends"."""
     kind: str
-    """"fold", "bifurcation" or "flutter"."""
+    """"fold", "bifurcation", "flutter" or "ends"."""
     direction: Array
     """(U,) softest direction."""
+    landed: AnyPoint | None = None
+    """Stable point after a loss of kind "ends"."""
 
     t = Delegate[float]("point")
 
@@ -132,6 +137,20 @@ def branch_end(family: Family, last: AnyPoint, goal: float) -> Loss | None:
     if bifurcates(family, last):
         return bifurcation(family, last, goal) or fold_ahead(family, last, far)
     return fold_ahead(family, last, far) or bifurcation(family, last, goal)
+
+
+def across(family: Family, last: AnyPoint, t: float) -> AnyPoint | None:
+    """Stable point at t that the robot reaches from a stable one at which its branch ends; None without one.
+
+    Where ends of tubes of a bundle meet, a branch may end although the energy is convex there: a little farther their
+    order changes, or they separate, at a slope of the energy that leads down. The way down is its gradient flow.
+    """
+    member = family.member(t, last)
+    if not member.descends:
+        return None
+    end = slide(member, member.transfer(last))
+    point = None if end is None else Point.of(member, end, t)
+    return point if point is not None and point.margin > 0 else None
 
 
 def fold_ahead(family: Family, last: AnyPoint, far: float) -> Loss | None:
@@ -248,7 +267,7 @@ def slide(member: Member[Any], x: Array) -> NewtonResult[Any] | None:
         return last and (replace(last, iterations=count, contraction=0.0) if last.converged else None)
 
     steps = step, member.largest_rotation, moved, rest
-    result, freed = flow(start, *steps), set[frozenset[object]]()
+    result, freed = flow(start, *steps), list[object]()
     while result is not None and (start := member.owner(result.state).released(result.state, freed)) is not None:
         result = flow(start, *steps)
     return result

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..arguments import typed
 from ..display import Displayed
-from ..equilibrium.continuation import Family, reach
+from ..equilibrium.continuation import Family, reach, step_to
 from ..equilibrium.kinematics import forward_kinematics, point_of, to_equilibrium
 from ..equilibrium.member import AnyPoint, Member
 from ..equilibrium.problem import check_load
@@ -23,7 +23,7 @@ from ..robots.robot import Robot, joint_values
 from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import StatusEnum
-from .folds import PAST, Loss, branch_end, fall
+from .folds import MIN_JUMP, PAST, Loss, across, branch_end, fall
 
 # The mesh must suit the largest load of a stage. Four times the load needs at most twice the pieces, and ten times the
 # load, the default limit, takes three stages.
@@ -36,6 +36,7 @@ class LoadLimitStatus(StatusEnum):
 
     FOLD = "the equilibrium vanishes in a fold, and the robot snaps"
     BIFURCATION = "the equilibrium becomes unstable at a bifurcation, and the robot buckles"
+    ENDS = "ends of tubes separate or pass each other, and the robot snaps"
     FLUTTER = "the equilibrium becomes unstable, and the robot begins to flutter: it oscillates more and more"
 
 
@@ -45,21 +46,24 @@ class LoadLimit(Displayed):
 
     factor: Annotated[float, "load factor at which stability is lost"]
     kind: Annotated[
-        str, "fold: the equilibrium vanishes; bifurcation: it becomes unstable; flutter: slow oscillations grow"
+        str,
+        "fold: the equilibrium vanishes; bifurcation: it becomes unstable; ends: the order of ends of tubes changes; "
+        "flutter: slow oscillations grow",
     ]
-    """"fold", "bifurcation" or "flutter".
+    """"fold", "bifurcation", "ends" or "flutter".
 
     At a fold the equilibrium vanishes, and the robot snaps. At a bifurcation it continues but is unstable, and the
-    robot leaves it to one of two sides, like a buckling column; symmetric poses do this. Flutter occurs only under a
-    load without an energy: the equilibrium continues, but slow oscillations about it grow (docs/loads.md).
+    robot leaves it to one of two sides, like a buckling column; symmetric poses do this. In a bundle ends of tubes that
+    are at one place may separate, or pass each other, and the robot snaps. Flutter occurs only under a load without an
+    energy: the equilibrium continues, but slow oscillations about it grow (docs/loads.md).
     """
     before: Annotated[Equilibrium, "equilibrium at the limit"]
-    """Equilibrium at the limit; its margin is 0."""
+    """Equilibrium at the limit; its margin is 0, but for the kind "ends"."""
     after: Annotated[Equilibrium | None, "equilibrium after the loss of stability; null if none was found"]
     """Equilibrium after the loss of stability.
 
-    At a fold at the same load; at a bifurcation at a load larger by the fraction `folds.PAST`, on one of two equally
-    likely sides. None if descent finds no equilibrium, and after flutter.
+    At a fold, and at ends that separate, at the same load; at a bifurcation at a load larger by the fraction
+    `folds.PAST`, on one of two equally likely sides. None if descent finds no equilibrium, and after flutter.
     """
     tip_jump: Annotated[float, unit("mm"), "distance that the tip jumps"]
     """Distance at the load of `after`, from the equilibrium that the robot leaves; NaN without `after`."""
@@ -139,7 +143,7 @@ def find_load_limit(
     if loss.kind == "bifurcation":
         # The branch continues: the robot leaves it just beyond.
         left = _restart(left, replace(left.member, factor=loss.t * (1 + PAST)))
-    landed = None if loss.kind == "flutter" else fall(left, loss.direction)
+    landed = None if loss.kind == "flutter" else loss.landed or fall(left, loss.direction)
     if landed is None:
         return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))
     after = to_equilibrium(landed, "the load before")
@@ -173,16 +177,21 @@ def find_loss(first: Equilibrium, load: Load, up_to: float) -> ScaledLoss | None
         else:
             point = _restart(point, point.member.under(point, stage_load, reached / scale))
         family = Family.growing(point.member)
-        point = reach(family, point)
-        if point.t < 1.0:
+        while (point := reach(family, point)).t < 1.0:
             loss = branch_end(family, point, 1.0)
-            if loss is not None:
-                return ScaledLoss(loss, scale)
-            raise SolveError(
-                f"the branch is lost at {point.t * scale:.6g} times the load, "
-                "but no fold or bifurcation is found there",
-                to_equilibrium(point, "the load before"),
-            )
+            if loss is None:
+                over = across(family, point, min(1.0, point.t + PAST))
+                if over is None:
+                    raise SolveError(
+                        f"the branch is lost at {point.t * scale:.6g} times the load, "
+                        "but no fold or bifurcation is found there",
+                        to_equilibrium(point, "the load before"),
+                    )
+                if over.member.distance(point, over.state) <= MIN_JUMP:
+                    point = over  # ends of tubes change their order without a snap
+                    continue
+                loss = Loss(point, "ends", point.softest, step_to(family, point.t, over) or over)
+            return ScaledLoss(loss, scale)
         reached = scale
     return None
 

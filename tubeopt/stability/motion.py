@@ -20,14 +20,14 @@ from ..equilibrium.continuation import (
     step_to,
 )
 from ..equilibrium.kinematics import along, followed_by_kernel, point_of, to_equilibrium
-from ..equilibrium.member import AnyPoint, Point
+from ..equilibrium.member import AnyPoint
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, Statistics
 from ..errors import SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..typing import Array, Delegate, StatusEnum
-from .folds import PAST, Loss, branch_end, fall, fold_ahead
+from .folds import MIN_JUMP, PAST, Loss, across, branch_end, fall, fold_ahead
 
 
 class SnapStatus(StatusEnum):
@@ -82,9 +82,6 @@ class Snap(Displayed):
 # smallest snaps, at the cusp where a hysteresis begins, have the same size: a smaller jump counts as no snap.
 SMOOTH_TURN = 0.05
 """Largest rotation (rad) of a point in a smooth change to a neighbouring branch at a bifurcation."""
-
-MIN_JUMP = 1e-3
-"""Rotation (rad) of a point above which the equilibrium after a fall differs from the one that was lost."""
 
 # A fold close ahead of the point where the kernel declines is the reason, and `fold_ahead` finds it. Otherwise a few
 # steps of the general continuation pass the difficult part.
@@ -204,27 +201,15 @@ def leave(family: Family, last: AnyPoint, loss: Loss | None, goal: float) -> Any
     # Where it continues but is unstable, the branch that crosses it takes over: the nearest minimum beyond.
     side = None if beyond is None else fall(beyond, beyond.softest)
     if beyond is None or side is None:
-        # Where ends of tubes of a bundle meet, a branch may end at a stable point: only the energy just beyond falls.
-        over = _descended(family, last, t)
+        over = across(family, last, t)
         if over is not None:
-            return Event(last, over)
+            return Event(last, over) if over.member.distance(last, over.state) > MIN_JUMP else over
         raise SolveError(
             f"the branch ends at {100 * t:.3f} % of the path, and energy descent from there finds no equilibrium"
         )
     if landed is None and side.member.distance(beyond, side.state) > SMOOTH_TURN:
         return Event(replace(beyond, t=lost.t), side)
     return side
-
-
-def _descended(family: Family, last: AnyPoint, t: float) -> AnyPoint | None:
-    """Stable point at t, farther than MIN_JUMP, that energy descent reaches from another one; None without any."""
-    member = family.member(t, last)
-    if not member.descends:
-        return None
-    result = member.descend(member.transfer(last))
-    point = Point.of(member, result, t)
-    far = result.converged and point.member.distance(last, result.state) > MIN_JUMP
-    return point if far and point.margin > 0 else None
 
 
 def segment(family: Family, origin: Equilibrium, index: int) -> tuple[Equilibrium, list[Snap]]:

@@ -963,9 +963,15 @@ def opened(problem: BundleProblem, x: Array, least: float) -> Array:
 
 def _opened(problem: BundleProblem, x: Array, short: Index, least: float) -> Array:
     """Unknowns (U,) close to x in which every element of the sections `short` has the length `least`, m."""
-    (turn, twist), bend = problem.torsion(x), problem.bend(x).reshape(-1, 2)
+    (turn, twist), bend, h = problem.torsion(x), problem.bend(x).reshape(-1, 2), problem.lengths(x)
     turn = turn.copy()
-    _shortened(problem, turn, bend, short.tolist(), least)
+    # A section that was held has rates of its own. With those of another one its first step might close it again.
+    held = [k for k in short.tolist() if abs(h[k] - HELD) < HELD / 2]
+    _shortened(problem, turn, bend, np.setdiff1d(short, held).tolist(), least)
+    for k in held:
+        in_section = problem.point_section == k
+        turn[in_section] *= least / HELD
+        bend[in_section] *= least / HELD
     out = problem.unknowns(turn, bend.ravel(), twist)
     others = np.repeat(~np.isin(problem.point_section, short), 2)
     rows = (problem.lengths_by_bend[short] * others) @ problem.bend_map
@@ -988,6 +994,17 @@ def exchanged(state: BundleState, section: int, *, hold: bool) -> tuple[BundlePr
     order, held = list(state.problem.order), set(state.problem.held) - {section}
     order[section - 1], order[section] = order[section], order[section - 1]
     return rearranged(state, tuple(order), tuple(sorted(held | ({section} if hold else set()))))
+
+
+def together(held: Sequence[int]) -> list[list[int]]:
+    """Held sections in groups of successive ones, in order: the boundaries at their ends are all at one place."""
+    out: list[list[int]] = []
+    for section in held:
+        if out and section == out[-1][-1] + 1:
+            out[-1].append(section)
+        else:
+            out.append([section])
+    return out
 
 
 def holding_forces(state: BundleState) -> Array:

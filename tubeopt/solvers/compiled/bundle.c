@@ -644,12 +644,20 @@ static void take_step(const Layout *l, const State *from, const Step *step, doub
     for (int i = 0; i < N; i++) to->twist[i] = from->twist[i] + scale * step->twist[i];
 }
 
+/* 1 if a step is so small that the next one may have the same factors. Turns in a section are in proportion to its length:
+   factors of a shorter section would leave them as they are, and the steps would seem to converge. */
+static int is_small(const Layout *l, const State *state, const Step *step) {
+    for (int j = 0; j < l->sections; j++)
+        if (!l->held[j] && fabs(step->h[j]) > 0.1 * fmin(state->h[j], state->h[j] + step->h[j])) return 0;
+    return size_of(l, step) <= CHORD_STEP;
+}
+
 /* A minimum by Newton steps from w->state, shortened until the energy falls, or `whole` ones from a state close by; the
    factors of the last steps stay. Declined where a step closes a section, which is left in `closed`. */
 static int minimise(const Layout *l, const double *alpha, int whole, Workspace *w, Answer *out, int *closed) {
     State *state = &w->state, *trial = &w->trial;
     double last = INFINITY, shift = 0;
-    int fresh = 1;
+    int fresh = 1, keeps = 1; /* factors are of this step; they may serve for the next one too */
     *closed = 0;
     if (!evaluate(l, alpha, state)) return DECLINED;
     for (int k = 0; k < MOST_ITERATIONS; k++) {
@@ -659,7 +667,14 @@ static int minimise(const Layout *l, const double *alpha, int whole, Workspace *
                 if (whole || shift > 1e6) return DECLINED;
         gradient_of(l, state, &w->by);
         solve_step(l, &w->factors, &w->by, &w->step);
-        double size = size_of(l, &w->step), scale = most_of(l, state, &w->step, closed);
+        double size = size_of(l, &w->step), scale;
+        if (!fresh && size > last / 4 && size > 10 * ROUND_OFF) {
+            fresh = 1;
+            keeps = 0;
+            last = INFINITY;
+            continue;
+        }
+        scale = most_of(l, state, &w->step, closed);
         int apart = largest(state->off, l->sections) > SAME_PLACE; /* from an exchange, or a start at other translations */
         if (!isfinite(size) || !(scale > 0)) return DECLINED;
         if (whole && (scale < 1 || (size > LAST_STEP && size > LARGEST_RATIO * last))) return DECLINED;
@@ -672,12 +687,12 @@ static int minimise(const Layout *l, const double *alpha, int whole, Workspace *
             if (valid && trial->energy <= state->energy + 1e-4 * scale * slope + 1e-13 * fabs(state->energy)) break;
             if (whole || half == 40) return DECLINED;
         }
+        fresh = !keeps || shift > 0 || !is_small(l, state, &w->step);
         memcpy(state, trial, sizeof *state);
         out->residual = size;
         if (size > LAST_STEP) out->contraction = fmax(out->contraction, size / last);
         if (size <= ROUND_OFF || (size <= LAST_STEP && size > last / 4))
             return size <= 1e-3 * LAST_STEP && !shift ? SOLVED : DECLINED;
-        fresh = shift > 0 || size > CHORD_STEP;
         last = size;
     }
     return DECLINED;
@@ -758,6 +773,9 @@ static int grown(Layout *l, const double *alpha, Workspace *w, int (*freed)[MOST
         }
     }
     memcpy(&w->state, &w->finer, sizeof w->state);
+    /* Of three boundaries together any two may go first, and not all of these were tried. */
+    for (int j = 1; j < l->sections; j++)
+        if (l->held[j] && l->held[j - 1]) return UNKNOWN;
     return STAYS;
 }
 
