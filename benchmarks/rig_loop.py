@@ -1,6 +1,6 @@
 """Heatings in the loop on a thermal model of their own: does the law hold the window that the package says it holds?
 
-    python -m benchmarks.rig_loop [--robots WORD ...] [--rigs WORD ...] [--sensors WORD ...] [--objective NAME] [--json]
+    python -m benchmarks.rig_loop [--robots WORD ...] [--rigs WORD ...] [--sensors WORD ...] [--objectives NAME ...]
 
 Every tube of every robot in `configs/robots` is planned on every rig in `configs/rigs` and led by a thermocouple, and
 the tube of each rig's own file (`--robots own`) by every sensor. The package says schedule, reference and gains; rig,
@@ -264,8 +264,8 @@ def measure(case: Case, objective: str) -> Found:
     runs[~found.done, :2] = -math.inf, math.inf
     unbiased = room(plan, *runs[0])
     worst = float(runs[:, 0].min()), float(runs[:, 1].max()), float(runs[:, 2].max())
-    result = Found(case.name, plan.verdict, stated, *worst, room(plan, *worst), unbiased)
-    print(f"{case.name}: {result.lowest:.1f} to {result.highest:.1f} degC, room {result.room:+.1f} K (unbiased "
+    result = Found(f"{case.name}, {objective}", plan.verdict, stated, *worst, room(plan, *worst), unbiased)
+    print(f"{result.case}: {result.lowest:.1f} to {result.highest:.1f} degC, room {result.room:+.1f} K (unbiased "
           f"{unbiased:+.1f}, stated {stated:+.1f}), {plan.verdict}", file=sys.stderr, flush=True)  # fmt: skip
     return result
 
@@ -275,10 +275,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("robots", "rigs", "sensors"):
         parser.add_argument(f"--{name}", nargs="*", default=[], help="only those whose names hold one of these words")
-    parser.add_argument("--objective", default="time", help="of the schedule: time or margin")
+    parser.add_argument("--objectives", nargs="*", default=["time", "margin"], help="of the schedule")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    result = [measure(case, options.objective) for case in cases(options.robots, options.rigs, options.sensors)]
+    result = [
+        measure(case, objective)
+        for objective in options.objectives
+        for case in cases(options.robots, options.rigs, options.sensors)
+    ]
     if options.json:
         print(json.dumps([asdict(one) for one in result]))
         return

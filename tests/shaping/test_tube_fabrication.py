@@ -198,7 +198,7 @@ def test_a_thin_wall_gets_clamps_close_to_the_plate() -> None:
     longer = replace(made.heating, rig=replace(made.rig, clamps=clamps))
     assert longest_bare_tube(longer, Thermocouple()) == pytest.approx(bare, rel=0.15)
     thick = plan_tube(TUBE, rig, heating=SHORT)
-    assert thick.rig.clamps.clearance == pytest.approx(rig.clamps.clearance)
+    assert 0.9 * rig.clamps.clearance < thick.rig.clamps.clearance <= rig.clamps.clearance + 1e-9
     # Wide clamps do not come that close to a plate that the tube leaves at an angle.
     bent = replace(thin, curved_length=0.2, curvature=10.0)
     wide = plan_tube(bent, rig, MoldSpec(clamps=ClampSpec(nose=15e-3)), SHORT)

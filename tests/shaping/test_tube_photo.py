@@ -170,13 +170,21 @@ def test_the_command_and_its_files(run: Run, tmp_path: Path) -> None:
         (("{scan}", "--scale-error-percent", "30"), "--scale-error-percent is 30; it must be at most 20"),
         (("{scan}", "--mold-radius-mm", "-5"), "--mold-radius-mm is -5; it must be greater than 0"),
         (("{cut}",), "the picture cannot be read"),
+        (("{huge}",), "more than 179 million pixels; it must have fewer: cut it to the tube"),
     ],
 )
 def test_wrong_input_is_refused(run: Run, tmp_path: Path, arguments: tuple[str, ...], said: str) -> None:
     scan = save(SCAN, tmp_path / "scan.png")
     (tmp_path / "cut.png").write_bytes(scan.read_bytes()[:2000])
     (tmp_path / "trials.csv").write_text("mold_radius_mm,obtained_radius_mm\n60,65\n")
-    names = {"scan": scan, "cut": tmp_path / "cut.png", "trials": tmp_path / "trials.csv"}
+    # Of one colour: a file of few bytes.
+    Image.new("1", (20000, 9000)).save(tmp_path / "huge.png")
+    names = {
+        "scan": scan,
+        "huge": tmp_path / "huge.png",
+        "cut": tmp_path / "cut.png",
+        "trials": tmp_path / "trials.csv",
+    }
     lines = refused(run("mold", "measure", *(text.format(**names) for text in arguments)))
     assert said in lines[0]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import math
+import warnings
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -75,7 +76,11 @@ def load_photo(path: str | PathLike[str]) -> TubePhoto:
 
     content = read_bytes(path)
     try:
-        with Image.open(io.BytesIO(content)) as image:
+        # Pillow warns from half of its limit on, which scans at 1200 dpi exceed.
+        with (
+            warnings.catch_warnings(action="ignore", category=Image.DecompressionBombWarning),
+            Image.open(io.BytesIO(content)) as image,
+        ):
             # Notes of a PNG may come after its pixels.
             image.load()
             noted = image.getexif().get_ifd(ExifTags.IFD.Exif)
@@ -83,7 +88,12 @@ def load_photo(path: str | PathLike[str]) -> TubePhoto:
             upright = ImageOps.exif_transpose(image)
     except UnidentifiedImageError:
         raise InputError(f"{path}: this is no picture that can be read; it must be a PNG, JPEG or TIFF") from None
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+    except Image.DecompressionBombError:
+        raise InputError(
+            f"{path}: the picture has more than {2 * (Image.MAX_IMAGE_PIXELS or 0) / 1e6:.0f} million pixels; it must "
+            "have fewer: cut it to the tube, or scan at a lower resolution"
+        ) from None
+    except (OSError, SyntaxError, ValueError) as error:
         raise InputError(f"{path}: the picture cannot be read: {error}") from None
     if upright.mode in ("RGBA", "LA", "PA", "P"):
         # Transparent parts are paper.
