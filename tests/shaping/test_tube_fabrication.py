@@ -202,7 +202,7 @@ def test_a_thin_wall_gets_clamps_close_to_the_plate() -> None:
     # Wide clamps do not come that close to a plate that the tube leaves at an angle.
     bent = replace(thin, curved_length=0.2, curvature=10.0)
     wide = plan_tube(bent, rig, MoldSpec(clamps=ClampSpec(nose=15e-3)), SHORT)
-    assert "make the face of the clamps narrower (nose_mm)" in wide.disagreement
+    assert "Make the face of the clamps narrower (nose_mm)" in wide.disagreement
     assert not wide.agreed
 
 
