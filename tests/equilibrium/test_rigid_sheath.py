@@ -72,7 +72,10 @@ def test_behind_the_end_of_the_rigid_part_tubes_are_held_as_behind_the_plate() -
             assert mine.energy == pytest.approx(other.energy, abs=1e-14)
         lever = np.cross([0, 0, LENGTH], force.force)
         assert np.abs(mine.base_wrench[3:] - other.base_wrench[3:] - lever).max() < 1e-14
-        # The kernel solves the arm beyond the rigid part, the general solver all of it.
+        # The kernel solves the arm beyond the rigid part, the general solver and the integration all of it.
+        check = shaft.fk(alpha, shift).verified().verification
+        assert check is not None
+        assert max(check.tip_position, check.rotation, check.base_rotation) < 1e-8
         start = replace(robot, sheath_rigid_length=LENGTH, sheath_rigid_from=1.0)
         assert np.abs(start.fk(alpha, shift).tip_position - shaft.fk(alpha, shift).tip_position).max() < 1e-11
         path = follow(shaft, [alpha, alpha + 0.1], [shift, shift - 0.002]).equilibria[-1]
