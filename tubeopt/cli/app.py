@@ -93,7 +93,7 @@ PANELS = {
     "Design": "design design-pair",
     "Plan": "plan plan-arms verify",
     "Build": "mold heat fabricate",
-    "Measure": "validate measure",
+    "Measure": "commission validate measure",
     "Real time": "export serve",
     "Files": "init list robot run figure sweep doctor",
 }

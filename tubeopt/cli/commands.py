@@ -131,6 +131,22 @@ COMMANDS: dict[str, StudyCommand | str] = {
         example="tubeopt measure crl_ctr --fit rotation_2,rotation_3,curvature_1 --count 12 --out results",
         pictures=False,
     ),
+    "commission": StudyCommand(
+        "commission",
+        """Calibrate a robot from logs of its drives and a tracker: from logs to a servo in one command.
+
+        It finds units, directions and zeros of all columns, the latency, and the effects that explain the errors. It
+        saves the calibrated robot, what to measure next, the servo in C, and a page to print. Exit code 2: a column
+        has two possible meanings; --answer decides. 3: no reading explains the tips.""",
+        arguments={
+            "robot": ROBOT,
+            "logs": (
+                "LOG...",
+                "Logs, one for each recording, or two for joints and positions: CSV, tracker export, or YAML map.",
+            ),
+        },
+        example="tubeopt commission braunschweig_pair commission_log --out results",
+    ),
     "design": StudyCommand(
         "design",
         "Optimise tube dimensions. Free parameters, constraints and objective come from a study file.",

@@ -327,6 +327,8 @@ def _parameter(key: str, kind: Any, option: Any, default: Any = inspect.Paramete
 
 def _argument(key: str, metavar: str, description: str, *, required: bool) -> inspect.Parameter:
     option = typer.Argument(metavar=metavar, help=description, show_default=False, autocompletion=files(key))
+    if metavar.endswith("..."):  # as many as there are
+        return _parameter(key, list[str], option)
     return _parameter(key, str, option) if required else _parameter(key, str | None, option, None)
 
 
@@ -384,6 +386,8 @@ def _read(field: FieldInfo, typed: Any) -> Any:
     """Convert the text of a flag to data of the study's model; text that is no number remains, for the check."""
     if typed is None or isinstance(typed, bool):
         return typed
+    if isinstance(typed, list | tuple):
+        return list(typed)
     kind = _plain(field.annotation)
     if _is_file(field):
         # A mapping or list may replace a file, as `--load "{tip_force_mN: [10, 0, 0]}"`.
@@ -442,6 +446,7 @@ FOLDERS = {
     "stock": "tubes",
     "measurements": "experiments",
     "log": "experiments",
+    "logs": "experiments",
 }
 """Keys with built-in files in a folder of another name -> folder."""
 

@@ -240,9 +240,9 @@ def with_points(path: str | PathLike[str], rows: list[list[str]]) -> list[list[s
 
 NAMES = {
     "t": "time",
-    "timestamp": "time",
-    **dict.fromkeys(("alpha", "rot", "angle", "theta"), "rotation"),
-    **dict.fromkeys(("trans", "insertion", "displacement"), "translation"),
+    **dict.fromkeys(("timestamp", "stamp", "clock"), "time"),
+    **dict.fromkeys(("alpha", "rot", "angle", "theta", "motor", "roll"), "rotation"),
+    **dict.fromkeys(("trans", "insertion", "displacement", "slide", "carriage", "stage"), "translation"),
     "temp": "temperature",
     **dict.fromkeys(("u", "volt"), "voltage"),
     **dict.fromkeys(("i", "amp"), "current"),
@@ -279,7 +279,7 @@ def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
     for k, name in enumerate(table.columns):
         if name in known or not known:
             continue
-        word, unit = _read_name(name)
+        word, unit = read_name(name)
         target = known_names.get(word, "")
         if not target or target in columns:
             continue
@@ -301,7 +301,7 @@ def _renamed(table: CsvTable, known: Collection[str]) -> CsvTable:
     return replace(table, columns=tuple(columns), rows=rows)
 
 
-def _read_name(name: str) -> tuple[str, str]:
+def read_name(name: str) -> tuple[str, str]:
     """Name and unit of a column in tubeopt: "Rot1 [°]" is rotation_1 in deg."""
     match = re.fullmatch(r"(.*?)\s*[\[(/]\s*([^\])]+?)\s*[\])]?", name.strip())
     word, unit = (match[1], match[2]) if match else _with_unit(name)

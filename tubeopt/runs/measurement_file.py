@@ -9,7 +9,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import combinations
 from os import PathLike
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -32,17 +32,12 @@ from ..robots.file import check_joints, joint_columns
 from ..robots.robot import Robot
 from ..typing import Array, Mask
 from ..validation.comparison import ErrorTable
-from ..validation.measurements import SAME_POSITION, JointLog, Measurements, Timeline, runs_of
+from ..validation.measurements import SAME_POSITION, JointLog, Measurements, Timeline, unwrapped
 from .recorded_table import QUATERNION, Columns, Recorded, columns_of, read_recorded
 
 # --- tables mapped by a YAML file -------------------------------------------------------------------------------------
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1), "-x": (-1, 0, 0), "-y": (0, -1, 0), "-z": (0, 0, -1)}
-
-# A wrapped angle jumps by a full turn minus the step of the path. At pi, the default of NumPy, a drive that moves by
-# half a turn between rows would be unwrapped; at two turns no jump would be found.
-WRAP_JUMP = 1.5 * math.pi
-"""Step of a rotation between consecutive rows above which the angle was wrapped, rad."""
 
 # Tips of an arm of length L spread by at most 2 sqrt(3) L. Metres taken for millimetres change that by 1000, so half or
 # twice these bounds separate the two as well.
@@ -131,8 +126,15 @@ def load_mapped(path: str | PathLike[str], robot: Robot) -> Measurements:
     Raises:
         InputError: a missing file or column, an unknown column or unit, or invalid cells.
     """
-    entry = check(MeasurementMap, load_yaml(path), path)
-    folder = Path(path).parent
+    return mapped(check(MeasurementMap, load_yaml(path), path), path, Path(path).parent, robot)
+
+
+def mapped(entry: MeasurementMap, path: str | PathLike[str], folder: Path, robot: Robot) -> Measurements:
+    """Measurements of a robot as a file of kind `measurements` at `path` says, of tables in a folder.
+
+    Raises:
+        InputError: as `load_mapped`.
+    """
     recorded = read_recorded(folder / entry.tips, entry.si("frame_rate_Hz"))
     if recorded.meaning and entry.joints is None:
         raise InputError(
@@ -251,7 +253,12 @@ def measured(
     clock = time if stamps is None else stamps
     wrapped: tuple[bool, ...] = ()
     if clock is not None:
-        rotations, wrapped = _unwrapped(clock, rotations, remarks)
+        rotations, wrapped, jumps = unwrapped(clock, rotations)
+        for tube in np.flatnonzero(jumps).tolist():
+            often = "once" if jumps[tube] == 1 else f"{jumps[tube]} times"
+            remarks.append(
+                f"rotation_{tube + 1} jumps by a full turn {often}: taken as an angle that was wrapped, and unwrapped"
+            )
     log = None
     if stamps is not None and time is not None:
         log = JointLog(stamps, rotations, translations)
@@ -291,31 +298,6 @@ def measured(
 def _count(remarks: list[str], mask: Mask, what: str) -> None:
     if mask.any():
         remarks.append(f"{int(mask.sum())} of {len(mask)} rows {what}")
-
-
-def _unwrapped(time: Array, rotations: Array, remarks: list[str]) -> tuple[Array, tuple[bool, ...]]:
-    """Unwrap rotations (N, n) within each run, add remarks, and return which tubes were wrapped.
-
-    A run of a wrapped angle starts in the turn in which the previous run ended.
-    """
-    out, runs = rotations.copy(), runs_of(time)
-    for rows in runs:
-        out[rows] = np.unwrap(rotations[rows], discont=WRAP_JUMP, axis=0)
-    # Corrections are multiples of 2 pi, so that 1 rad separates them from round-off.
-    jumps = np.diff(rotations - out, axis=0)
-    wrapped = np.any([np.abs(jumps[rows[:-1]]).max(0, initial=0.0) > 1.0 for rows in runs], axis=0)
-    for before, rows in pairwise(runs):
-        # The rotation during a gap in time is unknown: the nearest turn is assumed, for wrapped tubes only.
-        turns = np.round((out[before[-1]] - out[rows[0]]) / (2 * math.pi))
-        out[rows] += np.where(wrapped, 2 * math.pi * turns, 0.0)
-    steps = np.abs(np.diff(rotations - out, axis=0)) > 1.0
-    for tube in np.flatnonzero(steps.any(0)).tolist():
-        count = int(steps[:, tube].sum())
-        often = "once" if count == 1 else f"{count} times"
-        remarks.append(
-            f"rotation_{tube + 1} jumps by a full turn {often}: taken as an angle that was wrapped, and unwrapped"
-        )
-    return out, tuple(wrapped.tolist())
 
 
 def _doubts_of(measurements: Measurements, robot: Robot) -> list[str]:

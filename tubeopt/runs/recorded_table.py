@@ -75,7 +75,7 @@ def read_recorded(path: str | PathLike[str], frame_rate: float | None = None) ->
     first = [cell.strip() for cell in next(csv.reader(lines[:1], delimiter=separator), [])]
     # Only the header distinguishes NDI from a plain table: neither format has a signature.
     names = [_ndi_column(title)[0] for title in first]
-    ndi = "tx" in names and ("q0" in names or {*EULER} <= {*names})
+    ndi = "tx" in names and ({*QUATERNIONS} <= {*names} or {*EULER} <= {*names})
     if not ndi and names[:1] != ["format version"]:
         return Recorded(read_csv(path), {})
     cells = list(csv.reader(lines, delimiter=separator))

@@ -199,6 +199,7 @@ TITLES = {
     "MandrelStudy": "Study: mandrel",
     "MaterialsStudy": "Study: rank mold materials",
     "MeasureStudy": "Study: choose measurements",
+    "CommissionStudy": "Study: commission a robot",
     "MoldCalibrationStudy": "Study: calibrate spring-back",
     "MoldStudy": "Study: mold",
     "OvenStudy": "Study: plan an oven",

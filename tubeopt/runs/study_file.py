@@ -250,6 +250,7 @@ STUDY_KINDS = Kinds(
         "stability_map": "stability_studies.map_stability",
         "validation": "validation_study.ValidationStudy",
         "measure": "validation_study.choose_configurations",
+        "commission": "commission_study.commission",
         "design": "design_study.DesignStudy",
         "design_pair": "design_study.PairStudy",
         "plan": "plan_study.PlanStudy",

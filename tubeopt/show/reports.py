@@ -27,6 +27,7 @@ MODULES = {
         "Viewed",
         "Served",
     ),
+    "commission_report": ("Commissioning",),
     "design_report": (
         "DesignAnswer",
         "PairAnswer",

@@ -10,6 +10,7 @@ from .force import ForceEstimate, ForceRecord, estimate_force, estimate_forces
 from .identifiability import Placement, where_to_measure
 from .measurements import JointLog, Measurements, Parity
 from .parameters import Parameter, choose_parameters
+from .reading import Detection, RawLog, Reading, detect
 from .registration import SENSOR_FRAME, BasePose, Registration, register
 from .selection import Comparison, SelectionStep, compare_effects
 
@@ -20,6 +21,7 @@ __all__ = [
     "SENSOR_FRAME",
     "BasePose",
     "Comparison",
+    "Detection",
     "ErrorGroup",
     "ErrorSummary",
     "ErrorTable",
@@ -33,6 +35,8 @@ __all__ = [
     "Parameter",
     "Parity",
     "Placement",
+    "RawLog",
+    "Reading",
     "RealRobots",
     "Registration",
     "RegistrationError",
@@ -41,6 +45,7 @@ __all__ = [
     "Validation",
     "choose_parameters",
     "compare_effects",
+    "detect",
     "estimate_force",
     "estimate_forces",
     "fit",

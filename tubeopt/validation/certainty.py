@@ -143,8 +143,14 @@ class RealRobots:
             differs = p.kind in RESHAPED or not np.isfinite(margin).all()
             step = (STEP if differs else SMALL) * deviation
             sides_of_p = [np.clip(values[k] + side * step, p.low, p.high) for side in (1, -1)]
-            reals = [self._of(np.where(np.arange(len(values)) == k, x, values), *joints) for x in sides_of_p]
-            width = sides_of_p[0] - sides_of_p[1]
+            reals = []
+            for j, x in enumerate(sides_of_p):
+                try:
+                    reals.append(self._of(np.where(np.arange(len(values)) == k, x, values), *joints))
+                except InputError:  # there is no such robot: the other side counts alone
+                    sides_of_p[j] = values[k]
+                    reals.append(self._of(values, *joints))
+            width = (sides_of_p[0] - sides_of_p[1]) or np.inf
             if differs:
                 ahead, behind = (_equilibrium(real, e) for real in reals)
                 tips[:, k] = (ahead.tip_position - behind.tip_position) / width

@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
@@ -292,6 +293,42 @@ def runs_of(time: Array) -> list[Index]:
     usual = float(np.median(forward)) if len(forward) else 0.0
     cuts = np.flatnonzero((step <= 0) | (step > 5.0 * usual)) + 1  # runs are parted by much longer steps
     return list(np.split(np.arange(len(time)), cuts))
+
+
+# A wrapped angle jumps by a full turn minus the step of the path. At pi, the default of NumPy, a drive that moves by
+# half a turn between rows would be unwrapped; at two turns no jump would be found.
+WRAP_JUMP = 1.5 * math.pi
+"""Step of a rotation between consecutive rows above which the angle was wrapped, rad."""
+
+
+class Unwrapped(NamedTuple):
+    """Rotations that count turns."""
+
+    rotations: Array
+    """(N, n), rad."""
+    wrapped: tuple[bool, ...]
+    """(n,) True for tubes whose angle was wrapped."""
+    jumps: Index
+    """(n,) number of jumps by a full turn."""
+
+
+def unwrapped(time: Array, rotations: Array) -> Unwrapped:
+    """Unwrap rotations (N, n) within each run of times (N,).
+
+    A run of a wrapped angle starts in the turn in which the previous run ended.
+    """
+    out, runs = rotations.copy(), runs_of(time)
+    for rows in runs:
+        out[rows] = np.unwrap(rotations[rows], discont=WRAP_JUMP, axis=0)
+    # Corrections are multiples of 2 pi, so that 1 rad separates them from round-off.
+    jumps = np.diff(rotations - out, axis=0)
+    wrapped = np.any([np.abs(jumps[rows[:-1]]).max(0, initial=0.0) > 1.0 for rows in runs], axis=0)
+    for before, rows in pairwise(runs):
+        # The rotation during a gap in time is unknown: the nearest turn is assumed, for wrapped tubes only.
+        turns = np.round((out[before[-1]] - out[rows[0]]) / TURN)
+        out[rows] += np.where(wrapped, TURN * turns, 0.0)
+    steps = np.abs(np.diff(rotations - out, axis=0)) > 1.0
+    return Unwrapped(out, tuple(wrapped.tolist()), steps.sum(0))
 
 
 @dataclass(frozen=True, eq=False)

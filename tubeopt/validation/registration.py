@@ -170,6 +170,24 @@ def register(
     return registration
 
 
+def registered_residuals(measured: Array, predicted: Array) -> Array:
+    """(H, K, 3) measured minus predicted tips after the best rigid motion of each set, m, in the frame of the device.
+
+    The motion is that of `register`, for many sets at once. NaN where a prediction is.
+
+    Args:
+        measured: (K, 3).   predicted: (H, K, 3); NaN for a tip that is left out.
+    """
+    seen = np.isfinite(predicted[..., :1])
+    count = np.maximum(seen.sum(1, keepdims=True), 1)
+    m, p = (np.where(seen, each, 0.0) for each in (measured, predicted))
+    m, p = (np.where(seen, each - each.sum(1, keepdims=True) / count, 0.0) for each in (m, p))
+    left, _, right = np.linalg.svd(np.einsum("hki,hkj->hij", m, p))
+    # The last axis turns where the best match would be a mirror image (Umeyama).
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[:, None]
+    return np.asarray(np.where(seen, m - p @ (left @ right).transpose(0, 2, 1), np.nan))
+
+
 def _noise_ratio(registration: Registration, m: Array, p: Array, d: MeasuredDirections) -> float:
     """Noise of positions over noise of directions, m: known, or from the residuals of a registration."""
     left = registration.apply(m) - p, d.measured @ registration.rotation.T - d.predicted

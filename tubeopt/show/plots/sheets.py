@@ -72,15 +72,15 @@ def _own_size() -> Iterator[None]:
         WIDTH.reset(token)
 
 
-def _new_sheet(heading: str) -> Figure:
+def new_sheet(heading: str) -> Figure:
     """A4 page with a heading; its panels have positions of their own."""
     with _own_size():
         figure = new_figure(A4[0] / 25.4, A4[1] / 25.4, layout=None)
-    _write(figure, EDGE, A4[1] - EDGE, heading, size=13, weight="bold")
+    write_at(figure, EDGE, A4[1] - EDGE, heading, size=13, weight="bold")
     return figure
 
 
-def _write(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
+def write_at(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
     """Write text with its upper left corner at x, y, mm."""
     # Words of a row have one baseline, 0.8 of the size below their upper edge; a point is 0.353 mm.
     several = "\n" in text
@@ -93,14 +93,14 @@ def _write_table(figure: Figure, columns: Sequence[float], top: float, *values: 
     """Write a table below `top`, mm: names and the values of each tube, in columns that start at given x, mm."""
     for row, name in enumerate(values[0]):
         for x, text in zip(columns, (name, *(each[name] for each in values)), strict=True):
-            _write(figure, x, top - ROW * row, text)
+            write_at(figure, x, top - ROW * row, text)
 
 
 def _write_tools(figure: Figure, top: float, rows: Sequence[Sequence[str]]) -> None:
     """Write the table of tools below `top`, mm."""
     for k, row in enumerate(rows):
         for x, text in zip(TOOL_COLUMNS, row, strict=True):
-            _write(figure, EDGE + x, top - ROW * k, text, weight="normal" if k else "bold")
+            write_at(figure, EDGE + x, top - ROW * k, text, weight="normal" if k else "bold")
 
 
 def _write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], remarks: Sequence[str]) -> None:
@@ -112,7 +112,7 @@ def _write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], rem
         # A point is 0.353 mm, a line 1.35 of its size.
         if "\n".join(lines).count("\n") * 0.353 * 1.45 * size < top - EDGE:
             break
-    _write(figure, x, top, "\n".join(lines), size=size)
+    write_at(figure, x, top, "\n".join(lines), size=size)
 
 
 SCALES = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 10.0)
@@ -128,7 +128,7 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     from matplotlib.path import Path as MplPath
 
     if isinstance(part, Mandrel):
-        figure = _new_sheet(f"Set-up sheet: {title or f'mandrel of tube {part.number}'}")
+        figure = new_sheet(f"Set-up sheet: {title or f'mandrel of tube {part.number}'}")
         draw_space(figure.add_axes((0.03, 0.5, 0.42, 0.42), projection="3d"), part)
         draw_plan(figure.add_axes((0.55, 0.56, 0.4, 0.34)), part)
         top = 0.46 * A4[1]
@@ -140,7 +140,7 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
             _write_tools(figure, top - (len(facts) + 1) * ROW, rows)
         _write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
         return figure
-    figure = _new_sheet(f"Set-up sheet{': ' + title if title else ''}")
+    figure = new_sheet(f"Set-up sheet{': ' + title if title else ''}")
     shown, tools = part.grooves[:MAX_COLUMNS], tool_rows(part)
     tables = [groove_numbers(groove, part) for groove in shown]
     low, high = extent(part)
@@ -168,31 +168,31 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     covered = any(MplPath(clamp_corners(clamp, part.spec.clamps)).contains_points(place).any() for clamp in clamps)
     at_base = (base + 3.5, foot - 0.5) if covered else (base - 2.6, foot + 1.0)
     for x, y in (at_base, (left - 2.6, foot + 1.0)):
-        _write(figure, x, y, "0", size=9, weight="bold")
+        write_at(figure, x, y, "0", size=9, weight="bold")
     turned = "lower face up as milled, turned over about its left edge" if part.slots else "from above"
-    _write(
+    write_at(
         figure,
         EDGE,
         A4[1] - EDGE - 6,
         f"{mold_heading(part)}, drawn 1:{scale:g}. 0: zero of X and Y, Z = 0 on the face.",
     )
     head = foot + plate[1] / scale + 4.5
-    _write(figure, base, head, "base, from above", weight="bold")
-    _write(figure, left, head, f"lid, {turned}", weight="bold")
+    write_at(figure, base, head, "base, from above", weight="bold")
+    write_at(figure, left, head, f"lid, {turned}", weight="bold")
     marks = (
         "White: bolts; dark: dowels" if part.hinge is None else "White: latches; dark: screws of hinges; dashed: cut"
     )
     key = f"{marks}; ringed: vents of the lid; coloured: its slots; grey: clamps, with an arrow where one slides."
-    _write(figure, EDGE, EDGE + 3, key)
+    write_at(figure, EDGE, EDGE + 3, key)
     top = bottom - 3
     columns = [EDGE, *(EDGE + 52.0 + 30.0 * k for k in range(len(shown)))]
     for x, heading in zip(columns, ("mm, tubes cold", *(f"tube {groove.number}" for groove in shown)), strict=True):
-        _write(figure, x, top, heading, weight="bold")
+        write_at(figure, x, top, heading, weight="bold")
     _write_table(figure, columns, top - ROW, *tables)
     lowest = top - (len(tables[0]) + 1.6) * ROW
     if len(part.grooves) > len(shown):
         numbers = ", ".join(str(groove.number) for groove in part.grooves[len(shown) :])
-        _write(figure, columns[0], lowest + 0.7 * ROW, f"tubes {numbers}: see mold.json")
+        write_at(figure, columns[0], lowest + 0.7 * ROW, f"tubes {numbers}: see mold.json")
     _write_tools(figure, lowest, tools)
     _write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
     return figure
@@ -212,11 +212,11 @@ HOLE_SIZES = 7.0, 6.0, 5.0, 4.0, 3.0
 def plot_hole_sheet(mold: Mold, *, part: str, title: str = "") -> Figure:
     """Drawing of a plate, "base" or "lid", as it lies on the machine, with its holes and grooves in numbers."""
     of_robot = f"{title}, " if title else ""
-    figure = _new_sheet(f"Holes{' and grooves' if part == 'base' else ''}: {of_robot}{part}")
+    figure = new_sheet(f"Holes{' and grooves' if part == 'base' else ''}: {of_robot}{part}")
     zero = "Zero of X and Y in corner 0, Z = 0 on the upper face as it lies, mm"
     if part == "lid" and mold.slots:
         zero += "; lower face up, turned over about its left edge: corner 0 is the lower right one of the closed mold"
-    _write(figure, EDGE, A4[1] - EDGE - 6, mold_heading(mold))
+    write_at(figure, EDGE, A4[1] - EDGE - 6, mold_heading(mold))
     plate, rows = np.array(mold.size) * TO_MM, hole_rows(mold, part)
     available = np.array([A4[0] - 2 * EDGE - 8, 0.36 * A4[1]])
     scale = next((scale for scale in SCALES if (plate <= available * scale).all()), SCALES[-1])
@@ -228,8 +228,8 @@ def plot_hole_sheet(mold: Mold, *, part: str, title: str = "") -> Figure:
     else:
         draw_lid(axes, mold)
     axes.set_axis_off()
-    _write(figure, EDGE, bottom + 1.0, "0", size=9, weight="bold")
-    _write(figure, EDGE, A4[1] - EDGE - 9.5, f"{zero}. Drawn 1:{scale:g}, numbers as in the table.")
+    write_at(figure, EDGE, bottom + 1.0, "0", size=9, weight="bold")
+    write_at(figure, EDGE, A4[1] - EDGE - 9.5, f"{zero}. Drawn 1:{scale:g}, numbers as in the table.")
     for k, hole in enumerate(ordered_holes(mold, part), start=1):
         x, y = (np.array(hole.centre) + 0.4 * hole.diameter) * TO_MM
         axes.text(x, y, str(k), fontsize=5, ha="left", va="bottom")
@@ -246,10 +246,10 @@ def plot_hole_sheet(mold: Mold, *, part: str, title: str = "") -> Figure:
         column = EDGE + TABLE_WIDTH * (k // length)
         for j, row in enumerate([HOLE_HEADING, *lines[k : k + length]]):
             for x, text in zip(HOLE_COLUMNS, row, strict=False):
-                _write(figure, column + x * size / HOLE_SIZES[0], top - step * j, text, size=size,
+                write_at(figure, column + x * size / HOLE_SIZES[0], top - step * j, text, size=size,
                        weight="normal" if j else "bold")  # fmt: skip
     for k, note in enumerate(notes):
-        _write(figure, EDGE, EDGE + step * (len(notes) - k), note, size=size)
+        write_at(figure, EDGE, EDGE + step * (len(notes) - k), note, size=size)
     return figure
 
 
@@ -622,7 +622,7 @@ QUARTERS = (0.25, 0.5, 0.75)
 def plot_fabrication_sheet(fabrication: TubeFabrication, *, title: str = "", success: str = "") -> Figure:
     """Heating sheet for the operator: one page A4 that begins with the probability of success."""
     plan = fabrication.heating
-    figure = _new_sheet(f"Heating sheet: {title or f'tube {fabrication.groove.number}'}")
+    figure = new_sheet(f"Heating sheet: {title or f'tube {fabrication.groove.number}'}")
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]
     over_time = figure.add_axes((left, 0.68, wide, 0.185))
     duty = figure.add_axes((left, 0.53, wide, 0.105), sharex=over_time)
@@ -630,17 +630,17 @@ def plot_fabrication_sheet(fabrication: TubeFabrication, *, title: str = "", suc
     draw_duty(duty, plan)
     over_time.tick_params(labelbottom=False)
     duty.set_xlabel("time (s)")
-    _write(figure, EDGE, A4[1] - EDGE + 5, success or "success: not known", weight="bold")
-    _write(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
+    write_at(figure, EDGE, A4[1] - EDGE + 5, success or "success: not known", weight="bold")
+    write_at(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
     _write_table(figure, (EDGE, EDGE + 62.0), top, heating_numbers(fabrication))
     for head, lines, y in (
         ("Time line", time_line(fabrication), A4[1] - EDGE - 6),
         ("Before", preparation(fabrication), A4[1] - EDGE - 50),
         ("Safety", safety(plan), A4[1] - EDGE - 108),
     ):
-        _write(figure, 152.0, y, head, weight="bold")
+        write_at(figure, 152.0, y, head, weight="bold")
         wrapped = [textwrap.fill(line, LINE_LETTERS, initial_indent="- ", subsequent_indent="  ") for line in lines]
-        _write(figure, 152.0, y - ROW, "\n".join(wrapped))
+        write_at(figure, 152.0, y - ROW, "\n".join(wrapped))
     return figure
 
 
