@@ -108,7 +108,7 @@ def test_floors_are_refused_and_exported(run: Run, tmp_path: Path) -> None:
     assert float(line.split()[2]) == pytest.approx(floor)
     assert f'<param name="min_snap_distance">{floor:.9g}</param>' in (folder / "tubeopt_robot.urdf").read_text()
     (message,) = refused(run("export", path, "--c", str(folder), *flags[:2]))
-    assert "without min_snap_distance_deg" in message
+    assert "without --min-snap-distance-deg" in message
     replace(robot, posterior=None).save(path)
     (message,) = refused(run("export", path, "--c", str(folder), *flags))
     assert "the robot has no posterior" in message
