@@ -27,6 +27,15 @@ RATE = 100.0
 """Rotation rate of the drive in the comparison with the chain, rad/s."""
 
 
+def test_an_arm_that_turns_as_a_whole_dissipates_nothing() -> None:
+    """Every tube and the curvature turn at one rate, so that no fibre changes its length."""
+    system, y, _ = motion(CRL, np.array([0.4, 1.3, -0.7]), 1e-6, Load())
+    together, alone = np.zeros(len(y)), np.zeros(len(y))
+    together[-CRL.n_tubes :], alone[-1] = 1.0, 1.0
+    damping = system.slopes(y).damping
+    assert abs(together @ damping @ together) < 1e-9 * (alone @ damping @ alone)
+
+
 @pytest.fixture(scope="module")
 def crl_snap() -> Snap:
     home = [0.0, 0.0, 0.0]

@@ -39,7 +39,7 @@ MODELS = ("thesis", "energy")
 
 LARGEST_OFFSET = 0.05
 """Largest offset times precurvature of the model thesis by default: tips of both models then differ by 0.3 % of the
-length.
+length at the curvature of the robot of the thesis, and by up to twice as much where tubes are more curved.
 """
 
 # Directions of the three tubes from the centreline, rad.
