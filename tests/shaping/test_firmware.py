@@ -21,7 +21,15 @@ from tubeopt import Feedback, HeatingPlan, HeatingSpec, InputError, SolveError, 
 from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import HeatingRun, run_heating
 from tubeopt.runs.heating_study import ClosedLoopHeating
-from tubeopt.shaping.firmware.boards import BOARDS, Wiring, converter_for, hall_slope, parts_list, pwm_frequency
+from tubeopt.shaping.firmware.boards import (
+    BOARDS,
+    Wiring,
+    coil_zener,
+    converter_for,
+    hall_slope,
+    parts_list,
+    pwm_frequency,
+)
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine, SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import (
     CHARGES,
@@ -546,3 +554,11 @@ def test_a_supply_that_needs_no_cut_out_takes_longer() -> None:
     rig = plan().rig
     cold = rig.battery.voltage / full_current(TUBE, rig)
     assert current == pytest.approx(rig.battery.voltage / (cold + ohm), rel=0.03)
+
+
+@pytest.mark.parametrize("rest", [6.0, 12.7, 25.5, 38.0])
+def test_the_zener_of_the_coil_spares_its_transistor(rest: float) -> None:
+    """Supply, Zener diode and diode together stay below the voltage of the transistor."""
+    transistor, charged = np.ceil(2.5 * rest / 10) * 10, 1.15 * rest
+    supply = charged if charged <= 15 else 12.0
+    assert 5 < coil_zener(transistor, charged) < transistor - supply

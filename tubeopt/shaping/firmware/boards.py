@@ -285,6 +285,16 @@ def cable_of(plan: HeatingPlan) -> float:
     return next((size for size in CABLES if CURRENT_DENSITY * size >= largest), CABLES[-1])
 
 
+COIL_ZENERS = 24.0, 18.0, 15.0, 12.0, 10.0, 6.8, 5.1
+"""Voltages of Zener diodes across a coil, V: the larger, the faster the contactor opens."""
+
+
+def coil_zener(transistor: float, charged: float) -> float:
+    """Voltage (V) of the Zener diode across a coil: with supply and diode below 90 % of the coil's transistor."""
+    supply = charged if charged <= MOST_COIL else 12.0
+    return next((zener for zener in COIL_ZENERS if supply + zener + 1 <= 0.9 * transistor), COIL_ZENERS[-1])
+
+
 def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     """Parts between battery and tube, rated for the plan's currents and a shorted switch, and those of the board."""
     rig, safety = plan.rig, cut_out(plan)
@@ -295,9 +305,11 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     many = next(n for n in itertools.count(1) if (rms / n) ** 2 * circuit.mosfet_resistance <= MOSFET_HEAT)
     heat, rated = (rms / many) ** 2 * circuit.mosfet_resistance, math.ceil(MARGIN * peak / 10) * 10
     current = f"{rms:.0f} A rms, {peak:.0f} A while on"
+    supplied = f"for {wiring.known.reference:g} V, its minus leg (magnetic) at T-"
+    module = supplied + ("; CLK pin 13, DO pin 12" if wiring.known.pins["select"] == "10" else "")
     sensor = {
-        "max31855": "thermocouple type K 0.25 mm, its bead insulated, with MAX31855",
-        "max6675": "thermocouple type K 0.25 mm, its bead insulated, with MAX6675",
+        "max31855": f"thermocouple type K 0.25 mm, its bead insulated, with MAX31855 on a module {module}",
+        "max6675": f"thermocouple type K 0.25 mm, its bead insulated, with MAX6675 on a module {module}",
         "analog": f"0 to {wiring.known.reference:g} V line of a camera or amplifier",
     }[wiring.converter]
     charged = CHARGED * rig.battery.open_circuit[-1][1]
@@ -330,7 +342,9 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("supply", f"{logic}; {driving} for driver and coil; behind the control fuse",
              "USB alone drives neither coil nor gate"),
         Part("cut-out", f"contactor or high-side switch, normally open, {rated} A DC, opens within "
-             f"{1e3 * circuit.cutout_opening:g} ms; a Zener diode at a coil, no plain diode",
+             f"{1e3 * circuit.cutout_opening:g} ms; across a coil a Zener diode of "
+             f"{coil_zener(voltage, charged):g} V, 5 W, in series "
+             "with a diode: bars together, Zener at the coil's plus",
              f"shorted switch: tube at {safety.peak:.0f} degC after {1e3 * safety.delay:.0f} ms, 650 degC after "
              f"{1e3 * safety.budget:.0f} ms"),
         Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %): {timing / 1e3:g} kohm, "
