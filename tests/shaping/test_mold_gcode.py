@@ -182,6 +182,7 @@ def test_no_tool_turns_or_feeds_faster_than_the_material_allows(material: str) -
             slowest = min(slowest, rpm / (3000 if drills else 12000))
     assert (slowest == 1) == (fastest == np.inf)
     steps = " ".join(mold_steps(mold))
+    assert "Add what the clamps hold: they stay" in steps
     assert ("Cut wet, at 27 m/min" in steps) == (material == "steel")
     assert ("Cut dry, with an extractor" in steps) == (fastest == np.inf)
     # A mold that conducts takes the tube to an oven: no clamps, no current.

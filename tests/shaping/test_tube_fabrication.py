@@ -83,6 +83,8 @@ def test_the_sheet_tells_what_is_seen_at_the_rig() -> None:
     assert float(current.split(" / ")[0]) == pytest.approx(plan.current.max(), abs=0.5)
     words = " ".join(preparation(made_of(plan)) + safety(plan))
     assert f"{plan.rig.battery.voltage:.2f} V" in words
+    assert f"At the {plan.rig.circuit.pwm_frequency:g} Hz of the rig file" in words
+    assert any("main switch off, clamps and bolts off" in line for line in time_line(made_of(plan)))
     assert "Polarity: battery plus, fuse, main switch, cut-out, proximal clamp" in words
 
 

@@ -181,7 +181,7 @@ def programs(mold: Mold, part: str) -> list[Program]:
             "z = 0: its lower face, which lies on top",
         ]
     size = " x ".join(f"{side * TO_MM:g}" for side in stock_size(mold, part))
-    header = [f"{title}, for {mold.spec.workshop.dialect}", *zero, f"stock: {size} mm or wider"]
+    header = [f"{title}, for {mold.spec.workshop.dialect}", *zero, f"stock: {size} mm, and what the clamps hold"]
     files: dict[str, Sequence[Stage]] = {f"{part}_{k}.nc": [stage] for k, stage in enumerate(stages, start=1)}
     if mold.spec.workshop.touch_plate is not None:
         files = {f"{part}.nc": stages}

@@ -445,8 +445,8 @@ def mold_steps(mold: Mold) -> list[str]:
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     return [
         f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm (base.dxf, lid.dxf). "
-        f"Clamp it {math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate, on a waste board of "
-        f"{_waste_board(mold):g} mm. Faces flat within "
+        f"Add what the clamps hold: they stay {math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate. "
+        f"Waste board {_waste_board(mold):g} mm. Faces flat within "
         f"{spec.groove.clearance * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
         f"cutter's path within {TOLERANCE * TO_MM:g} mm; the rest ISO 2768-m.",
         "Positions, depths and fits of the holes, and the centrelines of the grooves: base_holes.pdf, lid_holes.pdf.",
@@ -466,7 +466,7 @@ def mold_steps(mold: Mold) -> list[str]:
                 f"{fixed} one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, "
                 "or the hot tube buckles.",
                 f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in "
-                f"water: {'half a turn of each nut, washers out, lid up' if mold.hinge else OPENED}, tube out by "
+                f"water: {opening_text(mold)}, tube out by "
                 "tongs. Until then it cools slowly; the heating sheet has the temperatures.",
             )
             if spec.material.electrically_insulating
@@ -480,8 +480,12 @@ def mold_steps(mold: Mold) -> list[str]:
     ]
 
 
-OPENED = "clamps and bolts off, lid off"
-"""Steps that open a bolted mold, as text."""
+def opening_text(mold: Mold) -> str:
+    """Steps that open the mold after the hold, as text: first the current is off."""
+    opened = (
+        "half a turn of each nut, washers out, lid up, clamps off" if mold.hinge else "clamps and bolts off, lid off"
+    )
+    return f"main switch off, {opened}"
 
 
 def cooling_text(material: MoldMaterial) -> str:
@@ -683,7 +687,7 @@ def time_line(fabrication: TubeFabrication) -> list[str]:
         *(f"{np.interp(goal, rising, plan.time[: start + 1]):.1f} s: {goal:.0f} °C" for goal in goals),
         f"{plan.hold_start:g} s: the hold begins, {middle[start]:.0f} °C",
         f"{plan.hold_end:g} s: the hold ends; the last pulse is at {off:g} s",
-        f"{'half a turn of each nut, washers out, lid up' if hinged else OPENED}; tongs put "
+        f"{opening_text(fabrication.mold)}; tongs put "
         f"the tube into {plan.spec.quench}, and it is below 100 °C {plan.quench_time:.2f} s later. {LEFT:.0f} s after "
         f"the hold a tube in the closed mold is still at {left.closed:.0f} °C. "
         + (
@@ -724,12 +728,16 @@ def safety(plan: HeatingPlan) -> list[str]:
         f"battery's plus, the stop button within reach. The mean current is {reserve:.0f} % below its limit.",
         f"The tube is at {plan.hottest:.0f} °C; clamps reach {plan.clamp_temperature.max():.0f} °C, the groove "
         f"{plan.mold_temperature.max():.0f} °C: wear gloves and goggles, and keep it away from anything that burns.",
-        f"Shorted switch: the cut-out must open within {1e3 * cut.budget:.0f} ms, or the tube passes 650 °C. By the "
-        f"rig file it takes {1e3 * cut.delay:.0f} ms: {cut.peak:.0f} °C at most. Test it every day: "
+        f"Shorted switch: the cut-out must open within {1e3 * cut.budget:.0f} ms, or the tube passes 650 °C. At the "
+        f"{plan.rig.circuit.pwm_frequency:g} Hz of the rig file it takes {1e3 * cut.delay:.0f} ms: {cut.peak:.0f} °C "
+        "at most. `tubeopt heat firmware` prints both for the pulses of a board. Test it every day: "
         "`tubeopt heat run --port PORT --test-cutout`.",
         *cut.problems,
-        "Quench with the current off and the clamps open, tongs in hand; water spits.",
+        "Main switch off before a hand touches clamps or mold. Quench with tongs in hand; water spits.",
         *([] if plan.feedback is None else [f"The board stops by itself at {plan.feedback.law.ceiling:.0f} °C."]),
+        *([] if plan.feedback else ["No sensor leads this heating: without a thermometer nobody sees a miss."]),
         "Above the limit, or where the tube does not follow the time line: stop.",
+        "After a stop or a miss: main switch off, let the tube cool in the mold; do not use it. Find the cause first, "
+        "or calibrate by the log (`tubeopt heat calibrate`); then heat a new tube.",
         *plan.concerns,
     ]
