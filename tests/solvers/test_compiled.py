@@ -31,7 +31,7 @@ from tubeopt import (
     forward_kinematics_batch,
     load_robot,
 )
-from tubeopt.equilibrium import kinematics
+from tubeopt.equilibrium import bundle, kinematics
 from tubeopt.equilibrium.directions import PARAMETERS
 from tubeopt.equilibrium.jacobian import compiled_slopes, derivatives_of
 from tubeopt.robots.robot import Robot, is_general
@@ -53,7 +53,7 @@ def general_solver() -> Iterator[None]:
     """Forward kinematics without the kernel."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(kinematics, "solve_compiled", lambda *_: None)
-        patch.setattr(kinematics, "solve_bundle_compiled", lambda *_: None)
+        patch.setattr(bundle, "solve_bundle_compiled", lambda *_: None)
         yield
 
 

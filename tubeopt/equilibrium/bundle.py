@@ -172,6 +172,8 @@ class Bundled(Member[BundleState]):
     """Factor on the load of the problem."""
     patient: bool = False
     """True if a step never closes a section, but makes it half as long at most."""
+    rescales: bool = True
+    """True if unknowns may be whitened again on the way; with friction its rows are in the unknowns of the problem."""
 
     @staticmethod
     def of(
@@ -323,7 +325,7 @@ class Bundled(Member[BundleState]):
         """State at unknowns x (U,), in unknowns that are whitened for lengths close to its own."""
         problem, h = self.problem, self.problem.lengths(x)
         ratio = np.delete(h / problem.nominal, problem.held)
-        if not len(ratio) or not ratio.min() > 0 or max(ratio.max(), 1 / ratio.min()) < RESCALED:
+        if not self.rescales or not len(ratio) or not ratio.min() > 0 or max(ratio.max(), 1 / ratio.min()) < RESCALED:
             return self.at(x)
         nominal = h.copy()
         nominal[[*problem.held]] = HELD

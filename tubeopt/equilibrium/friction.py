@@ -219,6 +219,7 @@ def bundle_contact(member: Bundled, friction: Friction, before: Material, *, fal
     """Contact of a bundle with slips measured from `before`; if it `falls`, boundaries that meet stay together."""
     around = dict.fromkeys(range(member.problem.n), SHEATH) | dict(member.robot.nested_pairs)
     shift = np.array(member.translations)
+    member = replace(member, rescales=False)
     advanced = member.moved if falls else member.advanced
     return BundleContact(member.problem, friction, tuple(around.items()), member.rotations, shift, before, advanced)
 
@@ -339,7 +340,7 @@ def _bundle_step(
         return NewtonResult(state, result.converged, 0, result.contraction)
 
     x = member.transfer(point)
-    result = member.newton(x + _onward(current, turn, len(x)), solved, solved)
+    result = replace(member, rescales=False).newton(x + _onward(current, turn, len(x)), solved, solved)
     if not ends:
         return None
     # Ends of tubes that would only separate by a jump stay together.
