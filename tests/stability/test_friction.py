@@ -324,7 +324,7 @@ def test_wrong_input() -> None:
     with pytest.raises(InputError, match="refinement of friction is 9"):
         Friction(1.0, refinement=9)
     eccentric = EccentricRobot(Tube(1.0 * MM, 0.75 * MM, 100 * MM, 80 * MM, 8.0, NITINOL), model="thesis")
-    with pytest.raises(InputError, match="model is thesis"):
+    with pytest.raises(InputError, match="for concentric robots and bundles"):
         follow(eccentric, np.zeros((2, 3)), friction=Friction(1.0))
     rubbed = follow(THESIS, np.radians([[0, 0, 0], [60, 0, 20]]), friction=Friction(1e-3)).equilibria[-1]
     with pytest.raises(InputError, match="a different friction"):
