@@ -1,6 +1,7 @@
 # The names of `tubeopt.plot`, and where each comes from: loaded when it is first used.
 
 from .show.page import tube_colour
+from .show.plots.commission import plot_commissioning
 from .show.plots.design import (
     plot_before_after,
     plot_front,
@@ -24,7 +25,7 @@ from .show.plots.maps import plot_branch, plot_energy_maps, plot_stability_map
 from .show.plots.mold import plot_mandrel, plot_materials, plot_mold, plot_springback
 from .show.plots.path import plot_path, plot_snap
 from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
-from .show.plots.sheets import plot_fabrication_sheet, plot_setup_sheet
+from .show.plots.sheets import plot_fabrication_sheet, plot_hole_sheet, plot_setup_sheet
 from .show.plots.snap_in_time import plot_snap_in_time
 from .show.plots.style import new_figure, picture, save_figure
 from .show.plots.trajectory import plot_arms, plot_checked, plot_section, plot_trajectory, save_film
@@ -40,6 +41,7 @@ __all__ = [
     "plot_before_after",
     "plot_branch",
     "plot_checked",
+    "plot_commissioning",
     "plot_effects",
     "plot_energy_maps",
     "plot_equilibria",
@@ -51,6 +53,7 @@ __all__ = [
     "plot_friction_band",
     "plot_front",
     "plot_heating",
+    "plot_hole_sheet",
     "plot_hysteresis",
     "plot_inverse",
     "plot_load_limits",

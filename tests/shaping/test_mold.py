@@ -109,7 +109,10 @@ def test_any_tube(diameter: float, length: float, turn: float, straight: float, 
         for side in (-1, 1):
             across = side * np.array([-along[1], along[0]])
             # Its face, and 45 deg behind it the shoulders.
-            for corner in (jaws.nose / 2 * across, jaws.width / 2 * across + (jaws.width - jaws.nose) / 2 * along):
+            for corner in (
+                jaws.face_width / 2 * across,
+                jaws.width / 2 * across + (jaws.width - jaws.face_width) / 2 * along,
+            ):
                 x, y = face + corner
                 assert not (0 < x < mold.size[0] and 0 < y < mold.size[1])
     assert groove.stock_length >= groove.free_length + 2 * mold.spec.clamps.grip - 1e-12
@@ -282,10 +285,15 @@ def test_clamps_that_overlap_are_named() -> None:
     assert any("clamps of tubes 1 and 2 overlap: set one tube after the other" in words for words in mold.remarks)
     apart = plan_mold((THESIS,) * 3, MoldSpec(clamps=ClampSpec(width=3e-3)))
     assert not any("overlap" in words for words in (*apart.remarks, *plan_mold(THESIS).remarks))
+    # A clamp narrower than the usual nose is straight.
+    assert (ClampSpec().face_width, apart.spec.clamps.face_width) == (3.5e-3, 3e-3)
+    with pytest.raises(InputError, match=r"nose is 4 mm; it must be at most the width of the clamp, 3 mm"):
+        ClampSpec(width=3e-3, nose=4e-3)
     # A bend of more than half a turn brings both ends of one tube together.
     turned = Tube(1.9e-3, 1.5e-3, 0.0, 12e-3 * np.radians(182.0), 1 / 12e-3)
-    wide = MoldSpec(most_strain=0.2, clamps=ClampSpec(width=30e-3))
-    assert any("the two clamps of tube 1 overlap" in words for words in plan_mold(turned, wide).remarks)
+    for wide in (ClampSpec(width=30e-3), ClampSpec(width=30e-3, nose=20e-3), ClampSpec(width=30e-3, nose=30e-3)):
+        told = plan_mold(turned, MoldSpec(most_strain=0.2, clamps=wide)).remarks
+        assert any("the two clamps of tube 1 overlap" in words for words in told)
 
 
 def test_plates_too_thin_or_too_small() -> None:

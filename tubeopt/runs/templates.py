@@ -221,6 +221,7 @@ EXAMPLES: dict[str, Callable[[Robot], Data]] = {
     "follow": lambda robot: {"path": "turn_and_back"},
     "force": lambda robot: {"measurements": "synthetic_forces"},
     "validation": lambda robot: {"measurements": "synthetic_etr"},
+    "commission": lambda robot: {"logs": ["commission_log"]},
     "measure": lambda robot: {"fit": ["curvature_1"]},
     "plan": lambda robot: {"goal_deg": _turn(robot, 90)},
     "design": _design,
@@ -229,9 +230,12 @@ EXAMPLES: dict[str, Callable[[Robot], Data]] = {
 }
 """Kind of a study of a robot -> example values of its required keys."""
 
-ROBOTS = {"validation": "thesis_etr", "mandrel": "example_pieces", "design": "example_equal_ends"} | dict.fromkeys(
-    ("mold_plan", "mold_materials", "fabrication"), "thesis_etr"
-)
+ROBOTS = {
+    "commission": "braunschweig_pair",
+    "validation": "thesis_etr",
+    "mandrel": "example_pieces",
+    "design": "example_equal_ends",
+} | dict.fromkeys(("mold_plan", "mold_materials", "fabrication"), "thesis_etr")
 """Kind -> default robot of its template; thesis_ctr for other kinds."""
 
 OF_RIGS: dict[str, Data] = {

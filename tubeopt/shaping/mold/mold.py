@@ -74,14 +74,14 @@ def clamp_corners(clamp: Clamp, spec: ClampSpec, travel: float = 0.0) -> Array:
     along = np.asarray(clamp.direction)
     across = np.array([-along[1], along[0]])
     depth = shoulder(spec)
-    right = [(0.0, spec.nose), (depth, spec.width), (spec.grip + travel, spec.width)]
+    right = [(0.0, spec.face_width), (depth, spec.width), (spec.grip + travel, spec.width)]
     sides = [(x, -0.5 * width) for x, width in right] + [(x, 0.5 * width) for x, width in right[::-1]]
     return np.array([np.asarray(clamp.face) + x * along + y * across for x, y in sides])
 
 
 def shoulder(spec: ClampSpec) -> float:
     """Distance (m) behind a clamp's face from which on it has its full width."""
-    return min(0.5 * (spec.width - spec.nose), spec.grip)
+    return min(0.5 * (spec.width - spec.face_width), spec.grip)
 
 
 @dataclass(frozen=True)
@@ -358,7 +358,7 @@ def _groove(blank: Blank, curve: Centreline, size: Point, spec: MoldSpec) -> Gro
         to_edge = [min(abs(x), abs(extent - x)) for x, extent in zip(mouth, size, strict=True)]
         cosine = abs(float(direction[to_edge.index(min(to_edge))]))
         slant = math.sqrt(max(1 - cosine**2, 0.0)) / cosine
-        reach = max(clamps.nose / 2 * slant, clamps.width / 2 * slant - shoulder(clamps))
+        reach = max(clamps.face_width / 2 * slant, clamps.width / 2 * slant - shoulder(clamps))
         gaps.append(max(clamps.gap, reach + CLAMP_CLEARANCE))
     vents = place_vents(curve, blank.width, spec.vents)
     growth = spec.growth
@@ -404,7 +404,9 @@ def _clamp_remarks(grooves: Sequence[Groove], spec: ClampSpec) -> list[str]:
 def _overlap(first: Array, second: Array) -> bool:
     """True if two convex outlines (N, 2) overlap: no side of either separates them (separating axis theorem)."""
     for corners in (first, second):
-        for side in np.roll(corners, -1, axis=0) - corners:
+        sides = np.roll(corners, -1, axis=0) - corners
+        # Two corners coincide where a clamp has no shoulder; a side without length would separate everything.
+        for side in sides[sides.any(axis=1)]:
             axis = np.array([-side[1], side[0]])
             a, b = first @ axis, second @ axis
             if a.max() <= b.min() or b.max() <= a.min():

@@ -194,12 +194,12 @@ class ClampSpec:
     grip: Annotated[float, unit("mm"), LENGTH, "length of tube in a clamp"] = 12e-3
     width: Annotated[float, unit("mm"), LENGTH, "width of a clamp, across the tube"] = 15e-3
     nose: Annotated[
-        float,
+        float | None,
         unit("mm"),
         LENGTH,
-        "width of a clamp's face towards the plate, behind which it widens at 45 deg; a narrow one comes close to a "
-        "plate that the tube leaves at an angle",
-    ] = 3.5e-3
+        "width of a clamp's face towards the plate, behind which it widens at 45 deg; default 3.5 mm, or the width "
+        "of a narrower clamp",
+    ] = None
     least_lead: Annotated[float, unit("mm"), LENGTH, "smallest straight groove on each side of the bend"] = 5e-3
     sliding_end: Annotated[str, OneOf(ENDS), "end with the sliding clamp, for thermal expansion of the tube"] = "distal"
     travel_factor: Annotated[float, POSITIVE, "travel of the sliding clamp per thermal expansion of the tube"] = 1.5
@@ -207,12 +207,17 @@ class ClampSpec:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.nose > self.width:
+        if self.nose is not None and self.nose > self.width:
             raise InputError(
                 f"nose is {self.nose * 1e3:g} mm; it must be at most the width of the clamp, {self.width * 1e3:g} mm"
             )
         if self.travel_factor < 1:
             raise InputError(f"travel_factor is {self.travel_factor:g}; it must be at least 1, or the tube buckles")
+
+    @property
+    def face_width(self) -> float:
+        """Width (m) of a clamp's face: `nose`, by default 3.5 mm, or the width of a narrower clamp."""
+        return min(3.5e-3, self.width) if self.nose is None else self.nose
 
 
 @dataclass(frozen=True)

@@ -462,9 +462,9 @@ def mold_steps(mold: Mold) -> list[str]:
         *(
             (
                 f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. "
-                f"Their face is {clamps.nose * TO_MM:g} mm wide and widens at 45° to {clamps.width * TO_MM:g} mm. The "
-                f"{fixed} one is fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, "
-                "or the hot tube buckles.",
+                f"Their face is {clamps.face_width * TO_MM:g} mm wide and widens at 45° to "
+                f"{clamps.width * TO_MM:g} mm. The {fixed} one is fixed; the {clamps.sliding_end} one must slide "
+                "outwards by the travel in the table, or the hot tube buckles.",
                 f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in "
                 f"water: {opening_text(mold)}, tube out by "
                 "tongs. Until then it cools slowly; the heating sheet has the temperatures.",
