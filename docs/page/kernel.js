@@ -68,6 +68,7 @@ export class Kernel {
     ]);
     this.#put(rows);
     const status = this.c.use(tubes.length);
+    if (status === STATUS.tooLarge) throw new Error("The browser has too little memory for the solver.");
     if (status !== STATUS.done) throw new Error(`a robot of ${tubes.length} tubes; at most ${this.most}`);
     this.n = tubes.length;
   }

@@ -1,4 +1,6 @@
 
+#include <stdlib.h>
+
 /* --- what the page asks: numbers go in by INPUT and come out by OUTPUT ---------------------------------------------- */
 
 #define ASKED(name) __attribute__((export_name(#name)))
@@ -8,13 +10,12 @@
 #define MOST_OUTPUT (FRAMES * POINTS * 3)
 
 static double INPUT[16 * N + 64], OUTPUT[MOST_OUTPUT];
-static double ROOM_FOR_ALL[1 << 21];
 static tubeopt_memory *arm;
 
 ASKED(input) double *input(void) { return INPUT; }
 ASKED(output) double *output(void) { return OUTPUT; }
 ASKED(most_tubes) int most_tubes(void) { return N; }
-ASKED(room) double *room(void) { return ROOM_FOR_ALL; }
+ASKED(room) void *room(void) { return arm; }
 ASKED(room_size) int room_size(void) { return (int)tubeopt_memory_size(); }
 ASKED(own_size) int own_size(void) { return (int)sizeof(tubeopt_memory); }
 
@@ -33,9 +34,12 @@ static int pose_out(tubeopt_status status, const tubeopt_pose *pose) {
 /* A robot of so many tubes, as Given in INPUT. The last arm is kept: it is where the search for the new one begins. */
 ASKED(use) int use(int tubes) {
     if (tubes < 1 || tubes > N) return TUBEOPT_BAD_INPUT;
-    if (tubeopt_memory_size() > sizeof ROOM_FOR_ALL) return TUBEOPT_TOO_LARGE;
+    if (!arm) {
+        void *all = malloc(tubeopt_memory_size());
+        if (!all) return TUBEOPT_TOO_LARGE;
+        arm = tubeopt_start(all);
+    }
     use_tubes(tubes, (const Given *)INPUT);
-    if (!arm) arm = tubeopt_start(ROOM_FOR_ALL);
     arm->fresh = 0;
     arm->before = NULL;
     return TUBEOPT_DONE;
