@@ -546,7 +546,7 @@ def test_what_is_not_there_under_load_says_so(thesis: ConcentricRobot) -> None:
     steel = rod(0.1, 1e-3)
     calls: list[tuple[Any, str]] = [
         (lambda: forward_kinematics(thesis, ROTATIONS, start=e), "start has a load"),
-        (lambda: forward_kinematics(eccentric, (0, 1, 2), load=load), "model is thesis"),
+        (lambda: forward_kinematics(eccentric, (0, 1, 2), load=load), "model of the robot is thesis"),
         (lambda: forward_kinematics(thesis, ROTATIONS, load=Load(points=((0.3, (0, 0, 1)),))), "at most the length"),
         (lambda: forward_kinematics(steel, [0.0], load=Load(gravity=(0, 0, -9.81))), "but tube 1 has"),
         (lambda: forward_kinematics(thesis, ROTATIONS, load=(1, 2, 3)), "it must be a Load"),  # type: ignore[arg-type]
