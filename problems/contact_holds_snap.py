@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TURNS = np.radians([0.0, 210.0, 214.0, 216.0, 217.0, 220.0])
 
 
-def told(snap: tubeopt.Snap) -> str:
+def snap_text(snap: tubeopt.Snap) -> str:
     """Rotation of a snap and its energy, as text."""
     return f"snap at {np.degrees(snap.rotations[0]):.2f} deg, {snap.energy_released * 1e3:.3f} mJ released"
 
@@ -31,9 +31,7 @@ def main(out: Path) -> list[Path]:
     home = np.zeros(3)
     free = tubeopt.find_snap(robot, (home, home), (np.radians([360.0, 0.0, 0.0]), home))
     assert free is not None
-    print(
-        f"without walls: snap at {np.degrees(free.rotations[0]):.2f} deg, {free.energy_released * 1e3:.3f} mJ released"
-    )
+    print(f"without walls: {snap_text(free)}")
     fall = free.after.tip_position - free.before.tip_position
     direction = fall / np.linalg.norm(fall)
     ball = Sphere(tuple((free.before.tip_position + 16e-3 * direction).tolist()), 15e-3)
@@ -43,9 +41,7 @@ def main(out: Path) -> list[Path]:
         pushed = ", ".join(f"{contact.size * 1e3:.2f} mN" for contact in pose.walls.contacts) or "no contact"
         print(f"tube 1 at {np.degrees(pose.rotations[0]):5.1f} deg: {pushed}, margin {pose.margin:.3f}")
     (snap,) = path.snaps
-    print(
-        f"with the ball: snap at {np.degrees(snap.rotations[0]):.2f} deg, {snap.energy_released * 1e3:.3f} mJ released"
-    )
+    print(f"with the ball: {snap_text(snap)}")
     picture = out / "contact_holds_snap.png"
     shown = [path.equilibria[k] for k in (1, 4, 5)]
     titles = [f"tube 1 at {np.degrees(pose.rotations[0]):.0f}\N{DEGREE SIGN}" for pose in shown]

@@ -247,6 +247,8 @@ def test_a_pose_among_walls_is_saved(pressed, tmp_path):
     [
         ({"walls": [Sphere((0, 0, 5e-3), 6e-3)]}, "a wall is 1.7 mm deep in the arm at the base plate"),
         ({"load": Load(moment=(1e-4, 0, 0))}, "load has a moment or turns with the tip"),
+        ({"method": "energy"}, "walls are given; then method must be 'newton'"),
+        ({"tolerance": 1e-12}, "tolerance at least 1e-08 rad"),
     ],
 )
 def test_what_walls_cannot_do_is_refused(pressed, changes, message):

@@ -40,8 +40,8 @@ OUTWARD, DESCENT_STEPS = 100, 300
 # Steps without motion after which a servo rests: the order of breakpoints is kept and released meanwhile.
 STILL = 6
 
-# Steps after which a descent is compared with itself, and the share of what is missing to a closer pose by which it
-# must have descended meanwhile: descents to other minima end early.
+# Number of steps between two checks of a descent. Between them it must cover this fraction of the distance that still
+# separates it from a closer pose, or it ends: it leads to another minimum.
 COMPARED_EVERY, PROMISING = 10, 0.05
 
 # Motion over the joints' scales between stored places of a path, their largest number, and motion of a robot at rest.

@@ -539,6 +539,11 @@ def forward_kinematics(  # noqa: PLR0913
         refuse_contact(guess)
 
     if walls:
+        if solver is not NAMED["newton"] or discretisation != DEFAULT_DISCRETISATION or tolerance < TOLERANCE:
+            raise InputError(
+                f"walls are given; then method must be 'newton', discretisation the default, and tolerance at least "
+                f"{TOLERANCE:g} rad"
+            )
         bodies = checked_obstacles(walls)
         among: Callable[..., Equilibrium] = lazy_import("tubeopt.equilibrium.wall_contact.among_walls")
         result = among(robot, alpha, shift, load, bodies, guess)

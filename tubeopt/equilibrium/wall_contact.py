@@ -575,7 +575,7 @@ def along_joints(start: Solved, rotations: Array, translations: Array) -> Iterat
 
 
 def landed(lost: Solved) -> Solved:
-    """Stable equilibrium to which an arm without inertia moves from unknowns that are none, with drag alone.
+    """Stable equilibrium in which the arm comes to rest after its equilibrium is lost; drag replaces inertia.
 
     Implicit Euler steps of x' = -grad E among the walls. Every step lowers the energy, and time steps grow into
     Newton's method.

@@ -590,7 +590,7 @@ class Room(NamedTuple):
     diameter: float
     """Inner diameter of the sheath, m."""
     width: float
-    """Distance by which all tubes could lie farther from the centreline, m."""
+    """Play between tubes and sheath: how much farther from the centreline all tubes can lie, m."""
     turns: float | None
     """Turns of the tubes around each other for which this room is enough; None unless equal tubes touch all around."""
 

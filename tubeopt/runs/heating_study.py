@@ -64,7 +64,7 @@ class Success:
 
     @property
     def required(self) -> float:
-        """Smallest probability of a rig that is said to be in order."""
+        """Smallest probability of success at which a rig counts as ready."""
         return ENOUGH if self.sensor else OPEN_LOOP
 
     @property

@@ -76,7 +76,7 @@ class ReadLog:
     """Name of the recording."""
     measurements: Measurements
     detection: Detection | None
-    """None of a recording whose columns a YAML file names."""
+    """None where a YAML file names the columns of the recording."""
     decisions: tuple[Decision, ...] = ()
     """Decisions on clocks and on the sensor."""
     mapping: Mapping[str, Any] = field(default_factory=dict)

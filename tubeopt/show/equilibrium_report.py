@@ -155,7 +155,7 @@ def _buffer_text(robot: Robot) -> str:
 
 
 def _sheath(robot: Robot) -> Robot | None:
-    """The robot, whose sheath is described; None for concentric robots."""
+    """Robot with a sheath to describe; None for concentric robots."""
     return None if isinstance(robot, ConcentricRobot) else robot
 
 

@@ -41,7 +41,7 @@ typedef struct {
     double guess[MOST_CHANGES], bend_guess[MOST_POINTS];                  /* of the softest variation */
     double moment[MOST_POINTS], thrust[MOST_POINTS];                      /* |m|; B |n| */
     double defect[MOST_CHANGES], J[N][MOST_CHANGES], G[MOST_CHANGES][MOST_CHANGES];
-    Boxes start, box, image, other, force; /* y; those that are looked for; work */
+    Boxes start, box, image, other, force; /* the box y, its trial, and work space */
     Softening softening;
 } Turning;
 

@@ -15,7 +15,7 @@
 #define WHOLE_TURN 6.283185307179586
 #define SPACED 0.1     /* of a joint's scale, between places of a way that are kept */
 #define MUCH_CLOSER 2e-5 /* of the longest tube: what counts as closer */
-#define WAY_ROOM 2e-3  /* of the margin, by which a scout stays farther above its floor: the robot cuts corners of its way */
+#define WAY_ROOM 2e-3  /* added to the floor of the margin for scouts: the robot cuts the corners of their path */
 
 static tubeopt_memory *scout_of(tubeopt_memory *m) { return (tubeopt_memory *)((char *)m + 2 * ROOM_OF_ONE); }
 
