@@ -36,7 +36,16 @@ from ..solvers.compiled.binding import Solved, Start, kernel_of, solve_compiled
 from ..solvers.compiled.bundle import MOST_TUBES, bundle_kernel
 from ..solvers.compiled.loaded import solve_loaded_compiled
 from ..solvers.ipopt import solve_ipopt, solve_loaded_ipopt
-from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, NEWTON, Ipopt, Newton
+from ..solvers.settings import (
+    LARGEST_RATIO,
+    LARGEST_SHIFT,
+    LARGEST_TURN,
+    LARGEST_TWIST,
+    NEWTON,
+    NEWTON_ROUND_OFF,
+    Ipopt,
+    Newton,
+)
 from ..solvers.time_limit import limited
 from ..typing import Array, lazy_import
 from .bundle import Bundled, solved_by_kernel
@@ -236,6 +245,9 @@ def point_of(
         SolveError: Newton's method does not converge, as at a fold.
     """
     member, x = unsolved(equilibrium, load, discretisation)
+    # Where ends of tubes are about to separate, Newton's method may part them, and finds nothing close by.
+    if member.residual(member.at(x)) <= NEWTON_ROUND_OFF:
+        return Point.at(member, x)
     return Point.solved_near(member, x, FOLDED)
 
 
