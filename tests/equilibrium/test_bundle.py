@@ -12,6 +12,7 @@ import pytest
 import yaml
 from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation
 
 from tubeopt import (
     BundleRobot,
@@ -539,6 +540,28 @@ def test_compliance_is_symmetric_and_work_becomes_energy(uneven: Any, load: Load
     works = np.array([each.work / ((1 + t) / 2) for t, each in zip(nodes, steps, strict=True)])
     gained = pose.work - weights @ works / 2
     assert pose.energy - free.energy == pytest.approx(gained, abs=1e-9 * pose.energy)
+
+
+@pytest.mark.parametrize("tube", [None, 0, 1])
+def test_compliance_along_the_arm_is_the_change_by_forces_there(uneven: Any, tube: int | None) -> None:
+    robot, alpha, shift, _ = uneven
+    at, h, load = 0.031, 1e-3, Load((0.03, 0.02, -0.01))
+    compliance = robot.fk(alpha, shift, load=load).compliance_at(at, tube)
+    assert np.abs(compliance - compliance.T).max() < 1e-10 * np.abs(compliance).max()
+    # Where a force acts a section ends, and the arm has a point.
+    here = robot.fk(alpha, shift, load=replace(load, points=((at, (0.0, 0.0, 0.0)),)))
+    point = int(np.argmin(np.abs(here.arc_length - at)))
+    assert here.arc_length[point] == pytest.approx(at, abs=1e-12)
+    for axis in np.eye(3):
+        more, less = (
+            robot.fk(alpha, shift, load=replace(load, points=((at, tuple(way * h * axis)),)), start=here)
+            for way in (1, -1)
+        )
+        moved = (more.position[point] - less.position[point]) / (2 * h)
+        turned = Rotation.from_matrix(more.frame[point] @ less.frame[point].T).as_rotvec() / (2 * h)
+        if tube is not None:
+            turned += here.frame[point, :, 2] * (more.rotation[tube, point] - less.rotation[tube, point]) / (2 * h)
+        assert np.abs(np.concatenate([moved, turned]) - compliance[:, :3] @ axis).max() < 1e-6
 
 
 def test_a_moment_on_the_sheath_is_a_pair_of_forces(uneven: Any) -> None:

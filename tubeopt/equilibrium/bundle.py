@@ -24,6 +24,7 @@ from ..block.transcription.bundle import (
     VanishingError,
     bundle_arm,
     carried,
+    cross_section_slopes,
     element_counts,
     evaluate,
     exchanged,
@@ -39,7 +40,6 @@ from ..block.transcription.bundle import (
     rearranged,
     solved_order,
     start_unknowns,
-    tip_slopes,
     together,
 )
 from ..block.transcription.collocated import ENDS
@@ -467,7 +467,18 @@ class Bundled(Member[BundleState]):
 
     def compliance(self, state: BundleState) -> Array:
         """Compliance (6, 6) of the tip: force (N) and moment (N m) -> translation (m) and turn (rad), world axes."""
-        slopes = tip_slopes(state)
+        return self.compliance_at(state, np.inf, None)
+
+    def compliance_at(self, state: BundleState, arc_length: float, tube: int | None) -> Array:
+        """Compliance (6, 6) of a cross-section where a section ends; the sheath carries a moment if `tube` is None.
+
+        At the tip the tube that ends last carries it.
+        """
+        problem = state.problem
+        section = problem.boundary_at(arc_length) if arc_length > HELD else -1
+        if tube is None and section == len(problem.order) - 1:
+            tube = problem.tip_tube
+        slopes = cross_section_slopes(state, section, tube)
         return np.asarray(slopes @ np.linalg.solve(state.hessian, slopes.T))
 
     def base_wrench(self, state: BundleState) -> Array:

@@ -11,12 +11,12 @@ import numpy as np
 import scipy
 
 from ..arguments import typed
-from ..block.transcription.loaded import compliance, symmetric_part
+from ..block.transcription.loaded import symmetric_part
 from ..block.transcription.second_variation import modes
 from ..errors import InputError, finite
 from ..robots.assembly import DIMENSIONS, LENGTH_ROUND_OFF, Assembly
 from ..robots.load import Load, PointLoad
-from ..robots.order import SAME_END, twisted_tube
+from ..robots.order import SAME_END
 from ..robots.robot import Robot, resized
 from ..solvers.blas import small
 from ..solvers.compiled.binding import (
@@ -389,21 +389,18 @@ def compliance_of(equilibrium: Equilibrium) -> Array:
 
 def compliance_at(equilibrium: Equilibrium, arc_length: float, tube: int | None) -> Array:
     """Compliance (6, 6) of a point of the arm; see `Equilibrium.compliance_at`."""
-    point = point_of(equilibrium, Load())
-    assembly, length = point.member.problem.torsion.assembly, float(equilibrium.arc_length[-1])
+    length, tubes = float(equilibrium.arc_length[-1]), equilibrium.tube_end
     if not 0 <= finite("arc_length", arc_length) <= length * (1 + 1e-12):
         raise InputError(f"arc_length is {arc_length:g} m; it must be on the arm, between 0 and {length:g} m")
-    present = np.flatnonzero(assembly.end >= arc_length - SAME_END)
-    chosen = int(twisted_tube(assembly.end, arc_length)) if tube is None else tube
-    if chosen not in present:
+    present = np.flatnonzero(tubes >= arc_length - SAME_END)
+    if tube is not None and tube not in present:
         raise InputError(f"tube is {tube}; tubes {', '.join(map(str, present))} are at {arc_length:g} m")
     # Where a wrench acts the curvature jumps: elements end there.
-    load = equilibrium.load or Load()
-    cut = replace(load, points=(*load.points, PointLoad(min(arc_length, length))))
-    with_end = Loaded.of(equilibrium.robot, point.member.rotations, point.member.translations, cut)
+    point, load, place = point_of(equilibrium, Load()), equilibrium.load or Load(), min(arc_length, length)
+    cut = replace(load, points=(*load.points, PointLoad(place)))
     failure = "the equilibrium is a fold (margin 0), where the compliance is infinite"
-    result: LoadedPoint = point.onto(with_end, failure)
-    return compliance(with_end.problem, result.state, min(arc_length, length), chosen)
+    result = point.onto(point.member.under(point, cut, 1.0), failure)
+    return np.asarray(result.member.compliance_at(result.state, place, tube))
 
 
 def base_wrench_of(equilibrium: Equilibrium) -> Array:

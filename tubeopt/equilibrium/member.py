@@ -48,6 +48,7 @@ from ..block.transcription.second_variation import REAL, Pair, least, margin, mo
 from ..errors import SolveError
 from ..robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ..robots.load import Load
+from ..robots.order import twisted_tube
 from ..robots.robot import Robot
 from ..solvers.newton import NewtonResult, descend, full_steps, torsional_turn
 from ..solvers.settings import HARDLY_SOFTENED, LARGEST_SHIFT, LEAST_STIFFNESS, NEWTON, Newton
@@ -676,6 +677,11 @@ class Loaded(Member[LoadedState]):
         """Compliance (6, 6) of the tip of a solved state."""
         torsion = self.torsion
         return compliance(self.problem, state, torsion.assembly.total_length, torsion.tip_tube)
+
+    def compliance_at(self, state: LoadedState, arc_length: float, tube: int | None) -> Array:
+        """Compliance (6, 6) of a solved state where an element ends; by default the outermost tube carries a moment."""
+        chosen = int(twisted_tube(self.torsion.assembly.end, arc_length)) if tube is None else tube
+        return compliance(self.problem, state, arc_length, chosen)
 
     def base_wrench(self, state: LoadedState) -> Array:
         """Wrench (6,) of the load on the plate."""

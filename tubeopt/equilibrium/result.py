@@ -375,8 +375,8 @@ class Equilibrium(Displayed):
     def compliance(self) -> Array:
         """(6, 6) compliance of the tip: force (N) and moment (N m) -> translation (m) and rotation (rad), world axes.
 
-        For small dead forces and moments, with or without load, concentric tubes only. The rotation is that of the tube
-        that ends last, of several the innermost.
+        For small dead forces and moments, with or without load, on a robot with an energy. The rotation is that of the
+        tube that ends last; of several concentric tubes, the innermost.
         """
         result: Array = lazy_import("tubeopt.equilibrium.jacobian.compliance_of")(self)
         return result
@@ -384,11 +384,11 @@ class Equilibrium(Displayed):
     def compliance_at(self, arc_length: float, tube: int | None = None) -> Array:
         """(6, 6) compliance at an arc length (m): motion (m, rad) of a cross-section per small dead load (N, N m).
 
-        In world axes, for concentric tubes.
+        In world axes, for a robot with an energy.
 
         Args:
-            tube: the tube, from 0, that carries the moment and is measured. By default the outermost tube there; at the
-                tip the one that ends last.
+            tube: the tube, from 0, that carries the moment and is measured. By default the outermost tube there, or the
+                sheath of an eccentric robot; at the tip the tube that ends last.
 
         Raises:
             InputError: an arc length outside the arm, or a tube that is not there.

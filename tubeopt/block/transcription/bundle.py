@@ -448,14 +448,18 @@ class BundleProblem:
         torsion = self.scale[:, None] * by_turn.swapaxes(0, 1).reshape(-1, q)[self.rows]
         return np.concatenate([torsion, self.bend_map.T @ bend])
 
-    @cached_property
-    def tip_rows(self) -> Array:
-        """Derivative (n, U) of the rotations at the ends of the tubes by x."""
+    def rotation_rows(self, section: int) -> Array:
+        """Derivative (n, U) of the rotations of the tubes by x, where a section or a tube before it ends."""
         table = np.zeros((self.n, self.n, len(self.weight) + 1))
-        table[np.arange(self.n), np.arange(self.n)] = np.append(self.weight, 1.0)
+        table[np.arange(self.n), np.arange(self.n)] = np.append(self.weight * (self.point_section <= section), 1.0)
         out = np.zeros((self.n, self.size))
         out[:, : self.split] = table.reshape(self.n, -1)[:, self.rows] * self.scale
         return out
+
+    @cached_property
+    def tip_rows(self) -> Array:
+        """Derivative (n, U) of the rotations at the ends of the tubes by x."""
+        return self.rotation_rows(len(self.order) - 1)
 
     @property
     def tip_tube(self) -> int:
@@ -844,12 +848,15 @@ def place_slopes(state: BundleState, section: int) -> PlaceSlopes:
     return PlaceSlopes((weight * state.h) @ tangent, by_x, by_length, by_bend, frame)
 
 
-def tip_slopes(state: BundleState) -> Array:
-    """Derivative (6, U) of the tip pose by x: position, and rotation of the tube that ends last about world axes."""
-    last = len(state.problem.order) - 1
-    pose = place_slopes(state, last)
+def cross_section_slopes(state: BundleState, section: int, tube: int | None) -> Array:
+    """Derivative (6, U) by x where a section ends: of the position, and of the rotation of a tube about world axes.
+
+    The rotation is that of the sheath, which does not twist, if `tube` is None.
+    """
+    pose = place_slopes(state, section)
     out = pose.by_x.copy()
-    out[3:] += np.outer(pose.frame[:, 2], state.problem.tip_rows[state.problem.tip_tube])
+    if tube is not None:
+        out[3:] += np.outer(pose.frame[:, 2], state.problem.rotation_rows(section)[tube])
     return out
 
 
