@@ -156,8 +156,11 @@ def test_robots_of_every_kind_are_environments() -> None:
     ("fields", "words"),
     [
         ({"task": "walk"}, "task is 'walk'"),
-        ({"turn": 0.0}, "turn is 0; it must be more than 0"),
+        ({"turn": 0.0}, "turn is 0; it must be greater than 0"),
+        ({"turn": "5"}, "turn is '5'; it must be a number"),
+        ({"shift": np.inf}, "shift is inf; it must be a finite number"),
         ({"steps": 0}, "steps is 0"),
+        ({"steps": 2.5}, "steps is 2.5; it must be a whole number"),
         ({"randomisation": 1.0}, "randomisation is 1"),
         ({"representation": "polar"}, "representation is 'polar'"),
     ],

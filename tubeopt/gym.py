@@ -18,8 +18,8 @@ import numpy as np
 
 from .arguments import typed
 from .display import Displayed
-from .errors import InputError, choice, without_unit_warnings
-from .files.field_metadata import NOT_NEGATIVE, POSITIVE, Range, unit
+from .errors import InputError, whole, without_unit_warnings
+from .files.field_metadata import POSITIVE, Checked, OneOf, Range, unit
 from .inverse.joints import JointSpace, joint_space
 from .robots.concentric import ConcentricRobot
 from .robots.file import load_robot
@@ -47,10 +47,10 @@ DRAWS, SWEEPS = 100, 3
 
 
 @dataclass(frozen=True)
-class GymOptions(Displayed):
+class GymOptions(Checked, Displayed):
     """Task of an environment; the defaults are those of CTR-Reach with the final tolerance."""
 
-    task: str = "reach"
+    task: Annotated[str, OneOf(TASKS)] = "reach"
     """"reach": an episode ends within the tolerance of a point. "path": the goal moves for the whole episode."""
     turn: Annotated[float, unit("deg"), POSITIVE, "largest change of a rotation by an action"] = math.radians(5)
     shift: Annotated[float, unit("mm"), POSITIVE, "largest change of a translation by an action"] = 1e-3
@@ -58,21 +58,11 @@ class GymOptions(Displayed):
     tolerance: Annotated[float, unit("mm"), POSITIVE, "distance of the tip from its goal that counts as none"] = 1e-3
     largest_tolerance: Annotated[float, unit("mm"), POSITIVE, "largest tolerance of a curriculum"] = 0.02
     steps: Annotated[int, Range(minimum=1), "steps of an episode at most"] = 150
-    representation: str = "egocentric"
+    representation: Annotated[str, OneOf(REPRESENTATIONS)] = "egocentric"
     """"egocentric": joint values of a tube relative to the next inner one. "proprioceptive": each its own."""
-    randomisation: Annotated[float, NOT_NEGATIVE, "largest relative change of stiffnesses and curvatures"] = 0.0
-
-    def __post_init__(self) -> None:
-        choice("task", self.task, TASKS)
-        choice("representation", self.representation, REPRESENTATIONS)
-        for name in ("turn", "shift", "tolerance", "largest_tolerance"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise InputError(f"{name} is {getattr(self, name):g}; it must be more than 0 and finite")
-        for name in ("steps", "repeats"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} is {getattr(self, name)}; it must be at least 1")
-        if not 0 <= self.randomisation < 1:
-            raise InputError(f"randomisation is {self.randomisation:g}; it must be at least 0 and less than 1")
+    randomisation: Annotated[
+        float, Range(minimum=0.0, below=1.0), "largest relative change of stiffnesses and curvatures"
+    ] = 0.0
 
 
 @typed
@@ -95,8 +85,7 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> None:
         self.robot = load_robot(robot) if isinstance(robot, str) else robot
         self.options = replace(options or GymOptions(), **fields)
-        if num_envs < 1:
-            raise InputError(f"num_envs is {num_envs}; it must be at least 1")
+        whole("num_envs", num_envs, 1)
         if self.options.randomisation and not isinstance(self.robot, ConcentricRobot):
             raise InputError(f"randomisation is {self.options.randomisation:g}; it supports concentric robots only")
         self.num_envs, self.tolerance = num_envs, self.options.tolerance
