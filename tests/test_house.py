@@ -132,6 +132,35 @@ def untold_fields(node: ast.ClassDef, words: str) -> Iterator[str]:
             yield name
 
 
+ENTRY = re.compile(r"(?:^ {4}|(?<=\S) {2,3})((?:\*{0,2}\w+, )*\*{0,2}\w+): ", re.MULTILINE)
+"""Names of an entry of Args; short entries share a line."""
+
+
+def test_docstrings_describe_arguments_that_exist() -> None:
+    nodes = [(path, node) for path in modules().values() for node in ast.walk(tree(path))]
+    classes = {node.name: node for _, node in nodes if isinstance(node, ast.ClassDef)}
+    stale = [
+        f"{path.name}: {node.name}: {name}"
+        for path, node in nodes
+        if isinstance(node, ast.FunctionDef | ast.ClassDef)
+        and (section := re.search(r"^Args:\n(.*?)(?=^\S|\Z)", ast.get_docstring(node) or "", re.MULTILINE | re.DOTALL))
+        for entry in ENTRY.findall(section[1])
+        for name in entry.replace("*", "").split(", ")
+        if name not in arguments(node, classes)
+    ]
+    assert stale == []
+
+
+def arguments(node: ast.FunctionDef | ast.ClassDef, classes: dict[str, ast.ClassDef]) -> set[str]:
+    """Names of the parameters of a function, or of the constructors and fields of a class and its bases."""
+    if isinstance(node, ast.FunctionDef):
+        return {part.arg for part in ast.walk(node.args) if isinstance(part, ast.arg)}
+    made = [arguments(part, classes) for part in node.body if getattr(part, "name", "") in ("__init__", "__new__")]
+    fields = {ast.unparse(part.target) for part in node.body if isinstance(part, ast.AnnAssign)}
+    bases = [classes[name] for name in (ast.unparse(base).split("[")[0] for base in node.bases) if name in classes]
+    return fields.union(*made, *(arguments(base, classes) for base in bases))
+
+
 @pytest.mark.parametrize("file", ["slow.txt", "night.txt", "searches.txt"])
 def test_lists_of_tests_name_tests(file: str) -> None:
     """A name that no test has would leave out nothing, unseen. What is left to the night is slow, too."""

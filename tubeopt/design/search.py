@@ -247,7 +247,7 @@ def search_design(
 
     Args:
         task: free dimensions, and requirements on tubes and certificates; its objective is ignored.
-        wanted: the goal, for example `tubeopt.planning.RegionReach`.
+        objective: the goal, for example `tubeopt.planning.RegionReach`.
         time_limit: search time, s, from the first start that satisfies the requirements, shared by all starts.
         starts: number of starts: the dimensions of the task, then random ones.
         turns: as for `optimize_design`.   progress: called with the number of evaluated designs, and 0.
@@ -290,7 +290,7 @@ def search_pair(
 
     Args:
         tasks: one for each robot, as for `search_design`.
-        wanted: the goal, for example `tubeopt.planning.PairReach`.
+        objective: the goal, for example `tubeopt.planning.PairReach`.
         time_limit, starts, seed, turns, progress: as for `search_design`.
 
     Raises:

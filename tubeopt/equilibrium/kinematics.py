@@ -154,7 +154,7 @@ def to_equilibrium(point: AnyPoint, start: str, start_time: float = 0.0) -> Equi
     """Equilibrium of a solved point.
 
     Args:
-        start: what it was solved from.   began: start of the clock, s; 0 if unknown.
+        start: what it was solved from.   start_time: start of the clock, s; 0 if unknown.
     """
     return equilibrium_of(point.member, point.member.solution(point), start, start_time)
 

@@ -51,7 +51,7 @@ def resolve_file(path: str | PathLike[str], folder: Path = Path()) -> Path:
     a warning reports it.
 
     Args:
-        beside: directory of relative paths.
+        folder: directory of relative paths.
     """
     local = folder / path
     named = shipped().get(str(path))

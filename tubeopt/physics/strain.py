@@ -38,7 +38,7 @@ def slotted_strain_ratio(bending_factor: Any, fraction: Any, *, symmetric: bool 
     their planes.
 
     Args:
-        bending_factor: b, in (0, 1].  share: f, in (0, 1].
+        bending_factor: b, in (0, 1].  fraction: f, in (0, 1].
         symmetric: True if the slots are symmetric about the plane across the bend.
     """
     # Under one moment rings bend b times the mean: 1 = (1 - f) b + f times that of the slotted part.

@@ -246,7 +246,7 @@ def apart(
 ) -> PairProof:
     """Lower bound on the distance between the surfaces of two arms, sharp at the smallest distance.
 
-    `most`: distance of parts that do not move, m, which no bound exceeds.
+    `max_distance`: distance of parts that do not move, m, which no bound exceeds.
     """
     first, second = tracks
     measured, when = np.inf, 0.0

@@ -550,7 +550,7 @@ def _inverse_arguments(task: PlanTask, start: Equilibrium, goal: TipGoal, clock:
 
 
 def inverse_constraints(task: PlanTask, margin: float, seconds: float) -> dict[str, Any]:
-    """Constraints and time limit of inverse kinematics for a task, with margins of at least `kept_margin`."""
+    """Constraints and time limit of inverse kinematics for a task, with margins of at least `margin`."""
     options = _options(task, seconds)
     return {
         "min_margin": margin,

@@ -70,7 +70,7 @@ HERMITE = 0.03231
 c has the values and slopes of f at both ends.
 """
 
-# Between the samples the speed grows by at most 12 |bow| / (8 SAMPLES^2), 2 % of it.
+# Between the samples the speed grows by at most 12 |deviation| / (8 SAMPLES^2), 2 % of it.
 SAMPLES = 8
 """Number of parts of a link between samples of the speed along that cubic."""
 
@@ -305,8 +305,8 @@ class _Row:
 def fastest_on_cubic(mean: Array, start: Array, end: Array) -> float:
     """Upper bound on the speed along a cubic, from its mean velocity (3,) and those at both ends, m/s."""
     x, deviation = np.linspace(0.0, 1.0, SAMPLES + 1)[:, None], mean - (start + end) / 2
-    # 6 x (1 - x) has mean 1 and is 0 at both ends: `bow` makes the mean right. The second derivative is -12 bow, which
-    # bounds the speed between samples.
+    # 6 x (1 - x) has mean 1 and is 0 at both ends: `deviation` makes the mean right. The second derivative is -12
+    # `deviation`, which bounds the speed between samples.
     velocity = start + (end - start) * x + 6 * x * (1 - x) * deviation
     return float(np.linalg.norm(velocity, axis=1).max() + 12 * np.linalg.norm(deviation) / (8 * SAMPLES**2))
 

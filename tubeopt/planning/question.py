@@ -225,7 +225,7 @@ def plan_task(
     load: Load | None = None,
     configurations: Sequence[Any] = (),
 ) -> PlanTask:
-    """Task of a plan, with its clock running; `places` are configurations that its joint space must contain.
+    """Task of a plan, with its clock running; `configurations` are those that its joint space must contain.
 
     Raises:
         InputError: arguments of another kind, or with invalid numbers.

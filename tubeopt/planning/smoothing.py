@@ -427,7 +427,7 @@ def _required(
     """(K, rows) required smooth minimum distances, m, at knots (K, m) and their arms.
 
     The exact distance from an obstacle may decrease to `reserve` above the required clearance; a knot with less may not
-    come closer, and must recede where it violates the clearance. The smooth distances of the program, now `least`, may
+    come closer, and must recede where it violates the clearance. The smooth distances of the program, now `values`, may
     decrease by as much: where much of an arm is about as close as its closest point, they are a few millimetres too
     small, at all knots alike. All rows of an obstacle have the requirement of its closest row.
     """

@@ -443,7 +443,7 @@ class TrajectoryVerifier:
         return np.array([self._cached(e, _least_singular_value) for e in arms.equilibria])
 
     def sure_margin(self, equilibrium: Equilibrium) -> float:
-        """`answer.sure_margin` of an equilibrium under the load."""
+        """`kinematics.sure_margin` of an equilibrium under the load."""
         return self._cached(equilibrium, sure_margin)
 
     def _cached(self, e: Equilibrium, value: Callable[[Equilibrium], float]) -> float:

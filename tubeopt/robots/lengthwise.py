@@ -129,7 +129,7 @@ class Lengthwise:
         """Values (6, X, n) of QUANTITIES at arc lengths (X, n) from the clamped ends, m.
 
         Args:
-            inside: (X, n) places on the same stretch by which the panel is chosen, where `place` may be at its end.
+            inside: (X, n) places on the same stretch by which the panel is chosen, where `position` may be at its end.
         """
         chosen = position if inside is None else inside
         # Tubes of constant pieces have c_0 alone: no basis is needed.

@@ -203,7 +203,7 @@ def zeros(coefficients: Array, imaginary: float, negligible: float | None = None
 
     Args:
         imaginary: largest imaginary part of a root that counts as real.
-        least: size of coefficients that are round-off, by default 1e-14 of the largest.
+        negligible: size of coefficients that are round-off, by default 1e-14 of the largest.
     """
     size = 1e-14 * float(np.abs(coefficients).max()) if negligible is None else negligible
     trimmed = chebyshev.chebtrim(coefficients, size)

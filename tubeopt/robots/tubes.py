@@ -273,8 +273,8 @@ class Tube(Displayed):
 HARDEST = 1.3e12
 
 # Strain of a tube held straight beyond which it was probably meant otherwise, where the material does not state more:
-# nitinol recovers 8 to 10 %, and published robots reach 3 %. `robots.fit` states what a robot's materials spring back
-# from, and may be cycled to.
+# nitinol recovers 8 to 10 %, and published robots reach 3 %. `robot.fit_warnings` states what a robot's materials
+# spring back from, and may be cycled to.
 MAX_STRAIN = 0.10
 
 

@@ -204,7 +204,7 @@ class LoadEntry(Part):
         """Load in SI; raises InputError for a part without force and moment."""
         along: Any = self.distributed_mN_per_m
         stretches = along if along and isinstance(along[0], Part) else []
-        points: list[Part] = getattr(self, "points") or []  # noqa: B009  # a field that `asking` adds
+        points: list[Part] = getattr(self, "points") or []  # noqa: B009  # a field that `keys_from` adds
         for name, parts in (("points", points), ("distributed_mN_per_m", stretches)):
             for k, part in enumerate(parts):
                 # A part without force and moment is a forgotten key, not a load of 0.

@@ -211,7 +211,7 @@ def _is_worse(result: ProblemSolution, points: Sequence[ProblemSolution]) -> boo
 
 
 def _interrupted(result: ProblemSolution) -> bool:
-    """True if a `_Meeting` stopped the solver."""
+    """True if a `Meeting` stopped the solver."""
     return result.statistics.verdict == Watch.STOPPED
 
 

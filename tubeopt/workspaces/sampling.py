@@ -112,7 +112,7 @@ class Workspace(Displayed):
             yield first, part
 
     def some(self, limit: int) -> Array:
-        """Random rows, at most `most`, reproducible; every k-th row of a sequence would be biased."""
+        """Random rows, at most `limit`, reproducible; every k-th row of a sequence would be biased."""
         random = np.random.default_rng(len(self))
         chosen = np.sort(random.choice(len(self), min(limit, len(self)), replace=False))
         rows = [part[chosen[(chosen >= first) & (chosen < first + len(part))] - first] for first, part in self.chunks()]

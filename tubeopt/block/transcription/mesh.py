@@ -271,7 +271,7 @@ def green_of(t: Tableau, start: Array, length: Array, rate: Array | None = None)
     They are exact between points of different elements.
 
     Args:
-        begin: integral (..., E) up to the elements; with the rate 1 their arc length.
+        start: integral (..., E) up to the elements; with the rate 1 their arc length.
         length: lengths (E,) of the elements.
         rate: (..., E, K) at the points; None is 1.
     """
