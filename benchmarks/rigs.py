@@ -35,7 +35,7 @@ from tubeopt import (
     load_robot,
     plan_heating,
 )
-from tubeopt.shaping.firmware.boards import Wiring, pwm_frequency
+from tubeopt.shaping.firmware.boards import Wiring, with_pulses
 from tubeopt.shaping.firmware.sketch_files import schedules
 from tubeopt.shaping.heating.controller import wilson
 from tubeopt.shaping.heating.cutout import cut_out
@@ -189,16 +189,11 @@ def planned(tube: str, objective: str, rig: Rig) -> tuple[HeatingPlan, str]:
     spec = HeatingSpec(objective=objective)
     if tube == OWN:
         assert rig.tube is not None
-        return plan_heating(rig.tube, with_pulses(rig), spec), ""
+        return plan_heating(rig.tube, with_pulses(rig, rig.tube, Wiring()), spec), ""
     robot, number = tube.rsplit(":", 1)
     chosen = load_robot(robot).tubes[int(number) - 1]
-    made = plan_tube(chosen, with_pulses(replace(rig, tube=chosen)), None, spec, number=int(number))
+    made = plan_tube(chosen, with_pulses(rig, chosen, Wiring()), None, spec, number=int(number))
     return made.heating, made.disagreement
-
-
-def with_pulses(rig: Rig) -> Rig:
-    """Rig with the frequency that its board takes."""
-    return replace(rig, circuit=replace(rig.circuit, pwm_frequency=pwm_frequency(Wiring(), rig)))
 
 
 def loaded(file: str, volts: float | None) -> Rig:
@@ -260,8 +255,9 @@ def shorted(file: str, count: int, seed: int) -> list[Shorted]:
 
     From the short on the whole current flows until monostable (1.5 periods and a fifth) and cut-out have opened.
     """
-    rig = with_pulses(load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml"))
+    rig = load_rig(ROOT / "configs" / "rigs" / f"{file}.yaml")
     assert rig.tube is not None
+    rig = with_pulses(rig, rig.tube, Wiring())
     plan = plan_heating(rig.tube, rig, HeatingSpec(), cures=False)
     delay = 1.8 / rig.circuit.pwm_frequency + rig.circuit.cutout_opening
     stated = {short.state: short for short in cut_out(plan).shorts}

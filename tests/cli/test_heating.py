@@ -14,6 +14,7 @@ from tests.command_line import ROOT, Run, answer, refused
 from tests.shaping.heating_reference import header_duties
 from tubeopt import load_rig
 from tubeopt.cli.commands import CHARGES
+from tubeopt.shaping.firmware.boards import BOARDS
 from tubeopt.shaping.heating import robust
 from tubeopt.shaping.tube_fabrication import lid_profile
 
@@ -85,6 +86,8 @@ def test_a_sensor_needs_uncertain_rigs(run: Run, samples: str) -> None:
     wanted = f"--samples is {samples}; with a sensor it must be at least 20"
     assert refused(run("heat", "plan", RIG, *flags)) == [wanted]
     assert refused(run("fabricate", ROBOT, "--rig", RIG, *flags)) == [wanted]
+    (line,) = refused(run("fabricate", ROBOT, "--rig", RIG, "--sensor", "nose"))
+    assert "it must be one of thermocouple, resistance, camera, none" in line
 
 
 @pytest.mark.parametrize(
@@ -221,13 +224,18 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
         "--hold-s",
         "5",
         "--samples",
-        "0",
+        "20",
+        "--board",
+        "pico",
+        "--objective",
+        "time",
         "--charges-percent",
         "none",
         "--json",
     )
     data = answer(run("fabricate", ROBOT, *flags))
-    assert data["success_probability"] is None
+    # Without a flag, a thermocouple leads the heating.
+    assert (data["success_probability"], data["led_by"]) == (1.0, "thermocouple")
     assert [tube["tube"] for tube in data["tubes"]] == [1]
     assert len(data["left_out"]) == 2
     (made,) = data["tubes"]
@@ -248,6 +256,12 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
     assert 1e3 * rig.mold.lead == pytest.approx(plan["lead_mm"])
     mold = {path.name for path in (tmp_path / "tube_1" / "mold").iterdir()}
     heating = {path.name for path in (tmp_path / "tube_1" / "heating").iterdir()}
+    firmware = tmp_path / "tube_1" / "firmware"
+    assert {"law.json", "wiring.png", "tube_heater"} <= {path.name for path in firmware.iterdir()}
+    # Sketch, schedule and sheet are for the pulses of the board.
+    frequency = rig.circuit.pwm_frequency
+    assert frequency in BOARDS["pico"].frequencies
+    assert f"#define PWM_HZ {frequency:.2f}f" in (firmware / "tube_heater" / "board.h").read_text(encoding="utf-8")
     assert {"base.dxf", "base.stl", "base_1.nc"} <= mold
     assert {"schedule.csv", "schedule.h", "heating.png", "plan.json"} <= heating
     assert (tmp_path / "robot.yaml").exists()

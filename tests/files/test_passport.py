@@ -90,9 +90,11 @@ def test_an_invalid_passport_is_refused_and_kept(folder: Path) -> None:
 def test_fabricate_begins_a_passport_that_validate_and_measure_continue(tmp_path: Path) -> None:
     """By the program itself: from the drawing to the errors of the tip."""
     robot, rig = str(CONFIGS / "robots" / "thesis_etr.yaml"), str(CONFIGS / "rigs" / "thesis_calcium_silicate.yaml")
+    fast = "--sensor", "none", "--objective", "time", "--charges-percent", "none"
     # The schedule alone succeeds on few uncertain rigs: the files are written, and the command says so.
-    assert _run("fabricate", robot, "--rig", rig, "--out", str(tmp_path), "--samples", "8") == 3
+    assert _run("fabricate", robot, "--rig", rig, "--out", str(tmp_path), "--samples", "8", *fast) == 3
     folder = tmp_path / "tube_1"
+    assert not (folder / "firmware").exists()
     begun = load_passport(folder / PASSPORT_FILE)
     assert (begun.robot, begun.tube) == ("thesis ETR", 1)
     assert [float(begun.drawn_radius_mm), float(begun.mold_radius_mm)] == pytest.approx([120.0, 120.0])

@@ -360,8 +360,13 @@ def test_the_monostable_is_drawn_as_it_is_listed(board: str, factor: float) -> N
     assert float(zener.split()[0]) <= float(supply.split()[0]) == wiring.known.reference
     figure = plot_wiring(ClosedLoopHeating(plan(), led(), wiring, frequency))
     drawn = [text.get_text() for text in figure.axes[1].texts]
-    for value in (f"{kohm:g} kohm", "1 uF", supply, f"{zener}\nZener", f"pin {wiring.known.pins['tick']}, tick"):
+    for value in (f"{kohm:g} kohm", "1 uF", supply, f"{zener}\nZener", f"{wiring.known.pin('tick')}, tick"):
         assert value in drawn
+    # The converter hangs on the pins of SPI in the core of the board, as hardware_arduino.cpp leaves them.
+    for name in ("select", "clock", "data"):
+        assert wiring.known.pin(name) in parts["thermometer"]
+    assert [wiring.known.pins[name] for name in ("clock", "data")] == {"uno": ["13", "12"], "pico": ["18", "16"]}[board]
+    assert "at 5 V of the supply" in parts["current sensor"]
     # Every chip has its supply, its ground, and no open input: 14 and 16 pins, those with a wire and those in the text.
     words = " ".join(drawn)
     assert {"14", "7", "1", "2", "3", "16", "8", "1 A", "2 B, 3 RD", "13 Q", "14 C", "15 RC"} <= set(drawn)

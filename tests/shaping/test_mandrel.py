@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -134,6 +135,10 @@ def test_the_table_of_a_turned_one_is_the_helix(made: tuple[Tube, Mandrel, Path]
 def test_the_sheet_of_a_mandrel_says_how_it_is_made(made: tuple[Tube, Mandrel, Path]) -> None:
     _, mandrel, _ = made
     numbers, steps = mandrel_numbers(mandrel), " ".join(mandrel_steps(mandrel))
+    # Of ceramic or board: water would crack it. Turned of metal it goes into water.
+    assert "Never put a hot mandrel of ceramic or board into water" in steps
+    metal = " ".join(mandrel_steps(replace(mandrel, spec=replace(mandrel.spec, material=STEEL))))
+    assert ("quench the mandrel with the tube in water" in metal) == isinstance(mandrel.body, Cylinder)
     low, high = (float(x) for x in numbers["limits of its width"].split(" to "))
     assert low == pytest.approx(1e3 * mandrel.tube.outer_diameter + 0.05)
     assert low <= 1e3 * mandrel.width <= high

@@ -17,7 +17,7 @@ from tubeopt.shaping.mold.files import plate_part, write_mold, write_solid
 from tubeopt.shaping.mold.gcode import hazards, programs, read_gcode, stages_of
 from tubeopt.shaping.mold.layout import Hole
 from tubeopt.shaping.mold.spec import HingeSpec, MillingSpec, PlateSpec, VentSpec, WorkshopSpec
-from tubeopt.show.plots.sheets import groove_rows, hole_rows, mold_steps, plot_hole_sheet, tool_rows
+from tubeopt.show.plots.sheets import hole_rows, mold_steps, path_rows, plot_hole_sheet, tool_rows, torque_of, zero_text
 
 from .gcode_machine import Block, mill
 
@@ -109,7 +109,8 @@ def test_the_table_of_holes_says_what_the_programs_drill(hinged: bool, tmp_path:
         # Besides them pilots of wider holes.
         assert len(drilled) == len(told) + sum(drill > 8 for _, _, drill in told)
         plot_hole_sheet(mold, tmp_path / f"{part}.pdf", part=part)
-    (heading, first, arc, last) = groove_rows(mold)
+    assert_sheets_tell_slot_and_zero(mold, hinged=hinged)
+    (heading, first, arc, last) = path_rows(mold, "base")
     groove = mold.grooves[0]
     assert f"{1e3 * groove.width:.3f} wide" in heading[0]
     numbers = [float(x) for x in re.findall(r"-?[\d.]+", arc[1])]
@@ -118,6 +119,34 @@ def test_the_table_of_holes_says_what_the_programs_drill(hinged: bool, tmp_path:
     assert np.hypot(x1 - x, y1 - y) == pytest.approx(radius, abs=0.01) == np.hypot(x0 - x, y0 - y)
     assert radius == pytest.approx(1e3 * groove.radius, abs=1e-3)
     assert last[1].startswith(f"line ({x1:.2f}, {y1:.2f}) to ({1e3 * mold.size[0]:.2f}, ")
+
+
+def assert_sheets_tell_slot_and_zero(mold: Mold, *, hinged: bool) -> None:
+    """Slot and cut of the lid as its programs mill them; countersinks where heads are; corner 0 from the stock."""
+    heading, arc, *cut = path_rows(mold, "lid")
+    assert "0.4 wide, 0.4 deep" in heading[0]
+    x0, y0, x1, y1 = (float(x) for x in re.findall(r"-?[\d.]+", arc[1])[:4])
+    milled = [m.piece for m in programs(mold, "lid")[0].motions if m.end < -0.39e-3 and m.piece.length > 0]
+    assert np.allclose([milled[0].start, milled[-1].end], 1e-3 * np.array([(x0, y0), (x1, y1)]), atol=6e-6)
+    stock = [float(x) for x in re.findall(r"\(stock: ([\d.]+) x ([\d.]+)", texts(mold, "lid")[0])[0]]
+    edges = [float(x) for x in re.findall(r"= (-[\d.]+)", zero_text(mold, "lid"))]
+    assert edges == pytest.approx([-(size - 1e3 * of) / 2 for size, of in zip(stock, mold.size, strict=True)])
+    strip = float(re.findall(r"Y [\d.]+ to ([\d.]+)", cut[0][0])[0]) if cut else 0.0
+    told = {part: [row for row in hole_rows(mold, part) if row[6].startswith("hinge")] for part in PARTS}
+    assert [len(cut), *map(len, told.values())] == ([1, 4, 8] if hinged else [0, 0, 0])
+    # A cone of 90 degrees from 6.4 mm down to the 3.2 mm of the hole is 1.6 mm deep.
+    for part, rows in told.items():
+        for row in rows:
+            # Screws of the strip, above the cut, have their heads in the base.
+            assert ("sunk 90° to 6.4, 1.6 deep, lower face" in row[6]) == (part == "base" or float(row[2]) < strip)
+
+
+def test_screws_are_tightened_as_far_as_the_board_bears() -> None:
+    """M5 with washers of 10 mm on a board: 2 MPa below them; in steel a third of the yield point of class 8.8."""
+    on_board, in_steel = (torque_of(5.5e-3, mold_material(name)) for name in ("calcium_silicate", "steel"))
+    assert on_board / (0.2 * 5e-3) / (np.pi / 4 * (10e-3**2 - 5.5e-3**2)) == pytest.approx(2e6)
+    # The stress area of M5 is 14.2 mm2 (ISO 898-1).
+    assert in_steel / (0.2 * 5e-3) / 14.2e-6 == pytest.approx(640e6 / 3, rel=0.1)
 
 
 @pytest.mark.parametrize("part", PARTS)

@@ -201,7 +201,7 @@ def test_the_hinged_lid_is_cut_off_its_strip(tmp_path: Path, cut_out: bool) -> N
     steps = " ".join(mold_steps(mold))
     assert "half a turn of each nut" in steps
     # Base, lid, leaf, washers and nut of an M3: 12.7 + 6.35 + 1 + 5.1 mm. A head is twice as wide as its hole.
-    assert "4 screws M3 × 30 through strip and base, countersunk 90° to 6.4 mm" in steps
+    assert "4 screws M3 × 30 through strip and base, countersunk 90° to 6.4, 1.6 deep" in steps
     # The holes of the latches, of 11 mm, are drilled by 3.2 mm first.
     stages = {stage.tool: stage.lines for stage in stages_of(mold, "lid")}
     assert "(pilots)" in stages["drill 3.2 mm"]

@@ -24,7 +24,7 @@ from tubeopt.shaping.mold.layout import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
-from tubeopt.show.plots.sheets import heating_numbers, preparation, safety, time_line
+from tubeopt.show.plots.sheets import heating_numbers, plot_fabrication_sheet, preparation, safety, time_line
 
 from .heating_reference import TUBE, integrate, thesis_plan, thesis_rig, with_mold
 
@@ -83,9 +83,18 @@ def test_the_sheet_tells_what_is_seen_at_the_rig() -> None:
     assert float(current.split(" / ")[0]) == pytest.approx(plan.current.max(), abs=0.5)
     words = " ".join(preparation(made_of(plan)) + safety(plan))
     assert f"{plan.rig.battery.voltage:.2f} V" in words
-    assert f"At the {plan.rig.circuit.pwm_frequency:g} Hz of the rig file" in words
+    assert f"With pulses of {plan.rig.circuit.pwm_frequency:.4g} Hz it takes" in words
     assert any("main switch off, clamps and bolts off" in line for line in time_line(made_of(plan)))
-    assert "Polarity: battery plus, fuse, main switch, cut-out, proximal clamp" in words
+    assert "Polarity: battery plus, fuse, main switch, cut-out, current sensor, proximal clamp" in words
+
+
+def test_the_sheet_of_an_unlikely_heating_says_do_not_run() -> None:
+    """At its top, with the reason; a sheet without faults does not say so."""
+    for faults in ([], ["9 % of rigs keep the window"]):
+        figure = plot_fabrication_sheet(made_of(thesis_plan()), faults=faults)
+        texts = {text.get_text(): text.get_position()[1] for text in figure.texts}
+        top = texts.get("DO NOT RUN THIS HEATING", 0.0)
+        assert (top > 0.9) == any("9 % of rigs" in text for text in texts) == bool(faults)
 
 
 def made_of(plan: HeatingPlan) -> TubeFabrication:

@@ -17,7 +17,7 @@ from ..files.field_metadata import key
 from ..files.fields import build_from, keys_from
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
-from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, pwm_frequency
+from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, with_pulses
 from ..shaping.heating.calibration import BIAS, FACTORS, HeatingLog, RigFit, calibrate
 from ..shaping.heating.controller import ENOUGH, Feedback, wilson
 from ..shaping.heating.cutout import stop_current
@@ -39,6 +39,9 @@ from .mold_study import MoldPath
 from .robot_keys import RobotPath, TubeNumber
 from .study_file import Arguments, Options, Timed, question
 from .workshop_file import CameraRecording, load_camera, load_heating_log, load_oven, load_rig
+
+OPEN = "none"
+"""Name in place of a sensor for a heating by its schedule alone."""
 
 OPEN_LOOP = 0.5
 """Required success probability without a sensor."""
@@ -350,8 +353,7 @@ class ClosedLoopStudy(HeatedTube):
     @model_validator(mode="after")
     def _buildable(self) -> Self:
         self._sensor()
-        rig = replace(self.configured_rig(), tube=self.heated_tube())
-        pwm_frequency(self._wiring(), rig, self.si("pwm_Hz"))
+        rig = with_pulses(self.configured_rig(), self.heated_tube(), self._wiring(), self.si("pwm_Hz"))
         hall_slope(self._wiring(), stop_current(self.heated_tube(), rig))
         return self
 
@@ -369,14 +371,13 @@ class ClosedLoopStudy(HeatedTube):
         show(0, 2)
         rig, wiring = replace(self.configured_rig(), tube=self.heated_tube()), self._wiring()
         rig = equipped(rig, self._sensor())
-        frequency = pwm_frequency(wiring, rig, self.si("pwm_Hz"))
         # Before planning: switching losses depend on the frequency.
-        rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
+        rig = with_pulses(rig, self.heated_tube(), wiring, self.si("pwm_Hz"))
         plan = plan_heating(self.heated_tube(), rig, self.spec())
         show(1, 2)
         feedback = design_feedback(plan, self._sensor(), samples=self.samples)
         show(2, 2)
-        return ClosedLoopHeating(plan, feedback, wiring, frequency)
+        return ClosedLoopHeating(plan, feedback, wiring, rig.circuit.pwm_frequency)
 
 
 # --- calibration of a rig ---------------------------------------------------------------------------------------------
@@ -446,6 +447,8 @@ class TubeParts:
     """Mold and heating as planned together, with their remarks."""
     mold: Annotated[RobotMold, "its mold"]
     heating: Annotated[Heating, "its heating"]
+    led: ClosedLoopHeating | None = None
+    """Firmware of the heating; None without a sensor that a sketch reads."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -478,19 +481,31 @@ class FabricationStudy(Timed):
         None, ge=1, le=1800, description="hold time, 1 to 1800 s; by default that of the mold file, or 60"
     )
     objective: Literal["time", "energy", "margin"] = Field(
-        "time", description="objective: time (shortest), energy (least charge) or margin (to the window and the limit)"
+        "margin",
+        description="objective: margin (to the window and the limit), time (shortest) or energy (least charge)",
     )
     charges_percent: list[Charge] = Field(
         [],
         description="states of charge of further duty-cycle tables, percent; --charges-percent none for no tables",
     )
-    samples: Annotated[Whole, Field(ge=0)] = Field(32, description=SAMPLES)
-    sensor: SensorName | None = SENSOR
+    samples: Annotated[Whole, Field(ge=0)] = Field(100, description=SAMPLES)
+    sensor: Annotated[str, AfterValidator(lambda name: choice("sensor", name, (*SENSORS, OPEN)))] = Field(
+        "thermocouple", description=f"sensor of the feedback control: {', '.join(SENSORS)}; {OPEN} for open loop"
+    )
+    board: str = Field("uno", description=f"board to run the sketch: {', '.join(BOARDS)}")
 
     @model_validator(mode="after")
-    def _enough_samples(self) -> Self:
-        check_sample_count(self.samples, self.sensor)
+    def _buildable(self) -> Self:
+        check_sample_count(self.samples, self._sensor())
+        self._wiring()
         return self
+
+    def _sensor(self) -> Sensor | None:
+        return None if self.sensor == OPEN else sensor_of(self.sensor)
+
+    def _wiring(self) -> Wiring:
+        converter = converter_for(self.sensor) if self.sensor in READS else Wiring.converter
+        return Wiring(board=self.board, converter=converter)
 
     def run(self, progress: Progress | None = None) -> Fabrication:
         """Plan every tube: its mold for the rig, and its heating on the rig with this mold.
@@ -502,18 +517,21 @@ class FabricationStudy(Timed):
         spec = replace(heating_for(mold_spec.heat), objective=self.objective)
         # The key of the study has priority over the mold file.
         spec = spec if self.hold_s is None else replace(spec, hold_time=self.si("hold_s"))
-        charges = self.si("charges_percent")
+        charges, sensor, wiring = self.si("charges_percent"), self._sensor(), self._wiring()
         chosen, left_out = chosen_tubes(self.robot)
-        rig = equipped(self.rig, sensor_of(self.sensor))
         parts = []
         for k, number in enumerate(chosen):
             if progress is not None:
                 progress(k, len(chosen))
+            tube = self.robot.tubes[number - 1]
+            rig = with_pulses(equipped(self.rig, sensor), tube, wiring)
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-            fabrication = plan_tube(self.robot.tubes[number - 1], rig, mold_spec, spec, number=number)
+            fabrication = plan_tube(tube, rig, mold_spec, spec, number=number)
             mold = RobotMold(fabrication.mold, self.robot.name, ())
-            heating = evaluate_heating(
-                fabrication.heating, charges, samples=self.samples, sensor=sensor_of(self.sensor)
-            )
-            parts.append(TubeParts(number, fabrication, mold, heating))
+            heating = evaluate_heating(fabrication.heating, charges, samples=self.samples, sensor=sensor)
+            feedback, led = heating.plan.feedback, None
+            if feedback is not None and self.sensor in READS:
+                hall_slope(wiring, stop_current(heating.plan.tube, heating.plan.rig))
+                led = ClosedLoopHeating(heating.plan, feedback, wiring, rig.circuit.pwm_frequency)
+            parts.append(TubeParts(number, fabrication, mold, heating, led))
         return Fabrication(self.robot, tuple(parts), tuple(left_out))

@@ -29,7 +29,7 @@ from ..shaping.mold.measured_tube import MeasuredTube, RadiusErrors
 from ..shaping.mold.mold import PARTS, Clamp, Groove, RobotMold, predict_tube
 from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.springback import Calibration, Springback
-from .heat_report import HEATING, SUCCESS, HeatingReport, hold_duties, missed, success_text, unlikely
+from .heat_report import HEATING, SUCCESS, FeedbackReport, HeatingReport, hold_duties, missed, success_text, unlikely
 from .quantities import Quantity, described, of_field, with_unit, within
 from .report import Drawing, Report, drawing, grid, remarks
 
@@ -453,16 +453,17 @@ FABRICATION = described(
 )
 
 
-def _faults(a: Fabrication) -> list[str]:
-    """Violated conditions, as text."""
-    faults = []
-    for part in a.parts:
-        plan = part.heating.plan
-        if fault := unlikely(part.heating.success) if plan.feasible else missed(plan):
-            faults.append(f"tube {part.number}: {fault}")
-        if not part.fabrication.agreed:
-            faults.append(f"tube {part.number}: {part.fabrication.disagreement}")
-    return faults
+def _faults(part: TubeParts) -> list[str]:
+    """Violated conditions of a tube, as text."""
+    plan = part.heating.plan
+    fault = unlikely(part.heating.success) if plan.feasible else missed(plan)
+    return [text for text in (fault, part.fabrication.disagreement) if text]
+
+
+def _of_tube(part: TubeParts) -> dict[str, Report[Any]]:
+    """Reports on one tube by their folder."""
+    reports: dict[str, Report[Any]] = {"mold": MoldReport(part.mold), "heating": HeatingReport(part.heating)}
+    return reports if part.led is None else reports | {"firmware": FeedbackReport(part.led)}
 
 
 class FabricationReport(Report[Fabrication]):
@@ -502,21 +503,22 @@ class FabricationReport(Report[Fabrication]):
         )
 
     def save(self, directory: Path) -> list[Path]:
-        """Write robot.yaml, fabrication.json, and mold/, heating/, rig.yaml, sheet.pdf and passport.yaml in tube_N/."""
+        """Write robot.yaml, fabrication.json, and rig.yaml, sheet.pdf, passport.yaml and folders in tube_N/."""
         from .plots.sheets import plot_fabrication_sheet
 
         save_robot(self.answer.robot, directory / "robot.yaml")
         paths = [directory / "robot.yaml", self.save_record(directory)]
         for part in self.answer.parts:
             folder = directory / f"tube_{part.number}"
-            paths += MoldReport(part.mold).save(folder / "mold") + HeatingReport(part.heating).save(folder / "heating")
+            for name, of_part in _of_tube(part).items():
+                paths += of_part.save(folder / name)
             paths.append(folder / "rig.yaml")
             rig = replace(part.heating.plan.rig, tube=part.heating.plan.tube)
             save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
             title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
-            success = success_text(part.heating.success)
-            led = replace(part.fabrication, heating=part.heating.plan)
-            plot_fabrication_sheet(led, folder / "sheet.pdf", title=title, success=success)
+            made = replace(part.fabrication, heating=part.heating.plan)
+            success, faults = success_text(part.heating.success), _faults(part)
+            plot_fabrication_sheet(made, folder / "sheet.pdf", title=title, success=success, faults=faults)
             paths.append(folder / "sheet.pdf")
             tube, groove = part.fabrication.tube, part.fabrication.groove
             if not tube.pieces:  # one radius is that of one arc
@@ -527,16 +529,16 @@ class FabricationReport(Report[Fabrication]):
         return paths
 
     def pictures(self) -> dict[str, Drawing]:
-        """Pictures of every mold and schedule, in the folders of the tubes."""
+        """Pictures of every mold, schedule and wiring, in the folders of the tubes."""
         return {
             f"tube_{part.number}/{folder}/{name}": draw
             for part in self.answer.parts
-            for folder, of in (("mold", MoldReport(part.mold)), ("heating", HeatingReport(part.heating)))
-            for name, draw in of.pictures().items()
+            for folder, of_part in _of_tube(part).items()
+            for name, draw in of_part.pictures().items()
         }
 
     def conclude(self) -> None:
         """Raise SolveError if a tube misses its window, few random rigs succeed, or mold and heating disagree."""
-        faults = _faults(self.answer)
+        faults = [f"tube {part.number}: {fault}" for part in self.answer.parts for fault in _faults(part)]
         if faults:
             raise SolveError("; ".join(faults))

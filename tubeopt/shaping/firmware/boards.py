@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 
 from ...errors import InputError, choice
 from ...files.field_metadata import POSITIVE, OneOf, check_fields, form, key, unit
+from ...robots.tubes import Tube
 from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, digits, short_rise, stop_current
 from ..heating.plan import HeatingPlan
 from ..heating.rig import CHARGED, COUNTS, Battery, Rig
@@ -88,7 +89,17 @@ class Board:
     reference: float
     """Reference voltage of the converter, V."""
     pins: dict[str, str]
-    """Pins of gate, tick of the cut-out, stop button, chip select, voltage, current and analog temperature."""
+    """Pins of gate, tick of the cut-out, stop button, chip select, voltage, current and analog temperature; clock and
+    data of the converter are those of SPI in the board's core.
+    """
+    prefix: str = ""
+    """Name of its pins before their number, as printed on the board."""
+    core: str = ""
+    """Arduino core of the board that has to be installed; "" for that of the Arduino IDE."""
+
+    def pin(self, use: str) -> str:
+        """Name of the pin for a key of `pins`, as text."""
+        return f"pin {self.prefix}{self.pins[use]}"
 
 
 AVR_PINS = {
@@ -99,6 +110,8 @@ AVR_PINS = {
     "voltage": "A0",
     "current": "A1",
     "temperature": "A2",
+    "clock": "13",
+    "data": "12",
 }
 ATMEGA = (16e6 / 1024 / 510, 16e6 / 256 / 510, 16e6 / 64 / 510)
 """Frequencies of timer 1, phase-correct in 8 bits, Hz."""
@@ -109,12 +122,12 @@ BOARDS = {
     "esp32": Board(
         "esp32", "ESP32", (31.0, 122.0, 490.0), 4096, 3.3,
         {"gate": "25", "tick": "26", "stop": "27", "select": "5", "voltage": "34", "current": "35",
-         "temperature": "32"},
+         "temperature": "32", "clock": "18", "data": "19"}, "GPIO", "core esp32 of Espressif, version 3",
     ),
     "pico": Board(
         "pico", "Raspberry Pi Pico", (122.0, 490.0), 1024, 3.3,
         {"gate": "15", "tick": "13", "stop": "14", "select": "17", "voltage": "26", "current": "27",
-         "temperature": "28"},
+         "temperature": "28", "clock": "18", "data": "16"}, "GP", "core Raspberry Pi Pico/RP2040 of E. Philhower",
     ),
 }  # fmt: skip
 """Boards by name. The Pico's core has no PWM below 100 Hz."""
@@ -236,6 +249,12 @@ def pwm_frequency(wiring: Wiring, rig: Rig, requested: float | None = None) -> f
     return frequency
 
 
+def with_pulses(rig: Rig, tube: Tube, wiring: Wiring, requested: float | None = None) -> Rig:
+    """Rig that heats a tube with the PWM frequency of its board, as `pwm_frequency`."""
+    frequency = pwm_frequency(wiring, replace(rig, tube=tube), requested)
+    return replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
+
+
 # --- parts of a rig ---------------------------------------------------------------------------------------------------
 
 
@@ -305,28 +324,32 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     many = next(n for n in itertools.count(1) if (rms / n) ** 2 * circuit.mosfet_resistance <= MOSFET_HEAT)
     heat, rated = (rms / many) ** 2 * circuit.mosfet_resistance, math.ceil(MARGIN * peak / 10) * 10
     current = f"{rms:.0f} A rms, {peak:.0f} A while on"
-    supplied = f"for {wiring.known.reference:g} V, its minus leg (magnetic) at T-"
-    module = supplied + ("; CLK pin 13, DO pin 12" if wiring.known.pins["select"] == "10" else "")
+    board = wiring.known
+    module = (
+        f"for {board.reference:g} V, fed by the board; its minus leg (magnetic) at T-; CS {board.pin('select')}, "
+        f"CLK {board.pin('clock')}, DO {board.pin('data')}"
+    )
     sensor = {
         "max31855": f"thermocouple type K 0.25 mm, its bead insulated, with MAX31855 on a module {module}",
         "max6675": f"thermocouple type K 0.25 mm, its bead insulated, with MAX6675 on a module {module}",
-        "analog": f"0 to {wiring.known.reference:g} V line of a camera or amplifier",
+        "analog": f"0 to {board.reference:g} V line of a camera or amplifier",
     }[wiring.converter]
     charged = CHARGED * rig.battery.open_circuit[-1][1]
     voltage, standoff = math.ceil(2.5 * rest / 10) * 10, math.ceil(charged)
     resistance = 1e3 * circuit.mosfet_resistance
-    reference, ratio = wiring.known.reference, divider(wiring, rig.battery)
+    reference, ratio = board.reference, divider(wiring, rig.battery)
     upper = f"{upper_resistor(wiring, rig.battery) / 1e3:g}"
     limit = stop_current(plan.tube, rig)
     slope = hall_slope(wiring, limit)
     low_volt = reference < 5
-    hall = f"Hall, {HALL_SPAN / slope:.0f} A, {1e3 * slope:g} mV/A"
+    hall = f"Hall, {HALL_SPAN / slope:.0f} A, {1e3 * slope:g} mV/A, {wiring.current_zero:g} V at no current; at 5 V of "
+    hall += "the supply, ground at the board"
     # A sensor of 5 V gives up to 5 V in a short.
     hall += f"; 1 kohm to the pin, {reference:g} V Zener diode there" if low_volt else ""
     logic = "5 V regulator for the board, its 3.3 V for the logic" if low_volt else "5 V regulator for board and logic"
     driving = "battery" if charged <= MOST_COIL else "12 V regulator"
     clamp = math.ceil((plan.clamp_temperature.max() + CLAMP_RESERVE) / 10) * 10
-    pins, avalanche = wiring.known.pins, 0.5 * LOOP_INDUCTANCE * peak**2
+    avalanche = 0.5 * LOOP_INDUCTANCE * peak**2
     overheats = avalanche * circuit.pwm_frequency > TVS_HEAT
     monostable = 1e3 * MONOSTABLE_PERIODS / circuit.pwm_frequency
     timing = timing_resistor(wiring, circuit.pwm_frequency)
@@ -350,11 +373,12 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %): {timing / 1e3:g} kohm, "
              f"{1e6 * TIMING_CAPACITOR:g} uF film, at {reference:g} V; 100 nF from pin 16 to 8",
              "a shorted switch keeps the drain low, a dead board sends no tick: both open the cut-out"),
-        Part("gate", f"74HC132 at {reference:g} V, of pin {pins['tick']} and the drain; 10 kohm at the drain's lug, "
+        Part("gate", f"74HC132 at {reference:g} V, of {board.pin('tick')} and the drain; 10 kohm at the drain's lug, "
              f"{clamp_voltage(wiring):g} V Zener diode at its input, 10 kohm from the tick to ground; 100 nF from "
              "pin 14 to 7", "retriggers the monostable while the drain is high; a board in reset sends no tick"),
-        Part("coil switch", f"logic-level transistor, {voltage} V, {CONTROL:g} A, 10 kohm from gate to source, between "
-             "coil and ground", "the monostable drives no coil; without it the coil is off"),
+        Part("coil switch", f"transistor, on at {2.5 if low_volt else 4.5:g} V of gate, {voltage} V, {CONTROL:g} A, "
+             "10 kohm from gate to source, between coil and ground",
+             "the monostable drives no coil; without it the coil is off"),
         Part("pull-up", f"1 kohm, {math.ceil(charged**2 / 500) / 2:g} W, across the open cut-out",
              "the drain is high before the cut-out closes, unless the switch is shorted"),
         Part("thermal cut-out", f"normally closed, {clamp} degC{', with a capillary' if clamp > MOST_BIMETAL else ''}, "
@@ -366,14 +390,15 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("thin wires", f"{THIN[1]:g} mm2 behind the control fuse, {THIN[0]:g} mm2 to the pins, twisted with "
              "their ground; driver to gate at most 10 cm",
              f"{CONTROL:g} A at {CURRENT_DENSITY:g} A/mm2 need {CONTROL / CURRENT_DENSITY:.2f} mm2"),
-        Part("MOSFET", f"{'' if many == 1 else f'{many} in parallel, each '}{voltage} V, {rated} A, logic level, at "
-             f"most {resistance:g} mohm, avalanche {digits(1e3 * MARGIN * avalanche)} mJ",
+        Part("MOSFET", f"{'' if many == 1 else f'{many} in parallel, each '}{voltage} V, {rated} A, logic level, gate "
+             f"+-20 V, at most {resistance:g} mohm, avalanche {digits(1e3 * MARGIN * avalanche)} mJ",
              f"{peak:.0f} A while on; warms by {heat:.1f} W, up to {MOSFET_HEAT:g} W need no heat sink"),
         Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, from drain to source",
              f"cables of {1e6 * LOOP_INDUCTANCE:g} uH store {digits(1e3 * avalanche)} mJ a pulse: "
              f"{digits(avalanche * circuit.pwm_frequency)} W on average"
              + (f", more than {TVS_HEAT:g} W: slower pulses, or a supply of less voltage" if overheats else "")),
-        Part("gate driver", "2 A or more; 10 ohm to the gate, 10 kohm from gate to source, 1 uF at its supply",
+        Part("gate driver", f"2 A or more, inputs for {reference:g} V logic; 10 ohm to the gate, 10 kohm from gate to "
+             "source, 1 uF at its supply",
              "without signal the switch must stay off"),
         Part("diode", f"Schottky, {voltage} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",
              "the loop's inductance"),
@@ -384,5 +409,5 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, f"at the middle of the curved part, which is at {rest:.1f} V between pulses"),
         Part("isolation", "USB isolator between computer and board", "the battery's minus is the board's ground"),
-        Part("board", wiring.known.title, "runs the sketch"),
+        Part("board", ", ".join(filter(None, (board.title, board.core))), "runs the sketch"),
     )  # fmt: skip

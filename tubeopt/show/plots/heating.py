@@ -271,7 +271,7 @@ GROUND: tuple[Path, ...] = (
 
 JOINTS = (
     (0.32, 0.72), (0.475, 0.72), (0.62, 0.72), (0.81, 0.72), (0.87, 0.585), (0.37, 0.49), (0.64, 0.49), (0.21, 0.28),
-    (0.475, 0.28), (0.505, 0.28), (0.66, 0.28), (0.71, 0.28),
+    (0.25, 0.33), (0.475, 0.28), (0.505, 0.28), (0.66, 0.28), (0.71, 0.28),
 )  # fmt: skip
 TERMINALS = {
     "+": (0.105, 0.72),
@@ -351,7 +351,7 @@ def _draw_logic(axes: Axes, answer: ClosedLoopHeating) -> None:
     ):  # fmt: skip
         axes.text(x, y, text, ha=side, **pin)
     for x, y, text, side in (
-        (0.055, 0.27, "drain", "right"), (0.095, 0.22, f"pin {wiring.known.pins['tick']}, tick", "right"),
+        (0.055, 0.27, "drain", "right"), (0.095, 0.22, f"{wiring.known.pin('tick')}, tick", "right"),
         (0.325, 0.39, supply, "right"), (0.85, 0.425, "12 V", "center"), (0.14, 0.03, "ground", "right"),
         (0.36, 0.085, "100 nF from 14 to 7;\n4, 5, 9, 10, 12,\n13 to ground", "left"),
         (0.54, 0.075, "100 nF from 16 to 8;\n9, 10, 11 to ground", "left"),
@@ -419,14 +419,15 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
             axes.plot(*zip(*path, strict=True), **look)
         axes.plot([], [], label=label, **look)
     axes.plot(*zip(*JOINTS, strict=True), "o", color=INK, ms=1.7 * thick)
-    pins = wiring.known.pins
-    read = f"pin {pins['select']}, SPI" if wiring.converter != "analog" else f"pin {pins['temperature']}"
+    pin = wiring.known.pin
+    spi = f"CS {pin('select')}\nCLK {pin('clock')}\nDO {pin('data')}"
+    read = spi if wiring.converter != "analog" else pin("temperature")
     signals: tuple[tuple[Path, str, tuple[float, float]], ...] = (
-        (((0.63, 0.16), (0.63, 0.35)), f"pin {pins['gate']}", (0.635, 0.2)),
+        (((0.63, 0.16), (0.63, 0.35)), pin("gate"), (0.635, 0.2)),
         (((0.69, 0.4), (0.79, 0.4)), "10 ohm", (0.722, 0.41)),
-        (((0.575, 0.66), (0.575, 0.16)), f"pin {pins['current']}", (0.58, 0.2)),
-        (((0.475, 0.72), (0.475, 0.64), (0.52, 0.64), (0.52, 0.16)), f"pin {pins['voltage']},\ndivider", (0.524, 0.19)),
-        (((0.345, 0.52), (0.345, 0.16)), f"pin {pins['stop']}\nto GND", (0.35, 0.19)),
+        (((0.575, 0.66), (0.575, 0.16)), pin("current"), (0.58, 0.2)),
+        (((0.475, 0.72), (0.475, 0.64), (0.52, 0.64), (0.52, 0.16)), f"{pin('voltage')},\ndivider", (0.524, 0.19)),
+        (((0.345, 0.52), (0.345, 0.16)), f"{pin('stop')}\nto GND", (0.35, 0.19)),
         (((0.32, 0.72), (0.32, 0.845), (0.365, 0.845)), "", (0.0, 0.0)),
         (((0.435, 0.845), (0.475, 0.845), (0.475, 0.72)), "", (0.0, 0.0)),
         (((0.32, 0.72), (0.32, 0.565), (0.29, 0.565)), "", (0.0, 0.0)),
@@ -438,12 +439,13 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         (((0.37, 0.61), (0.37, 0.66)), "coil", (0.385, 0.625)),
         (((0.435, 0.66), (0.435, 0.61)), "", (0.0, 0.0)),
         (((0.45, 0.45), (0.45, 0.52)), "", (0.0, 0.0)),
-        (((0.43, 0.35), (0.43, 0.16)), f"pin {pins['tick']},\ntick", (0.435, 0.19)),
+        (((0.43, 0.35), (0.43, 0.16)), f"{pin('tick')},\ntick", (0.435, 0.19)),
         (((0.46, 0.35), (0.46, 0.31), (0.4, 0.31), (0.4, 0.16)), f"{wiring.known.reference:g} V", (0.373, 0.3)),
         (((0.87, 0.585), (0.84, 0.585)), "", (0.0, 0.0)),
         (((0.765, 0.585), (0.545, 0.585), (0.545, 0.4), (0.49, 0.4)), "drain high", (0.6, 0.592)),
         (((0.97, 0.16), (0.97, 0.69), (0.79, 0.69), (0.775, 0.69)), "on the tube", (0.885, 0.7)),
-        (((0.83, 0.095), (0.735, 0.095)), read, (0.745, 0.105)),
+        (((0.83, 0.095), (0.735, 0.095)), read, (0.739, 0.105)),
+        (((0.25, 0.33), (0.56, 0.33), (0.56, 0.66)), "5 V", (0.532, 0.335)),
     )
     for path, label, at in signals:
         axes.plot(*zip(*path, strict=True), **signal)

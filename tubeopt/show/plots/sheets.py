@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -14,8 +14,10 @@ from ...files.units import TO_MM
 from ...shaping.firmware.boards import cable_of, fuse_of, root_mean_square
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import LEFT, HeatingPlan, left_in_mold
+from ...shaping.heating.sensors import Thermocouple
 from ...shaping.materials import MoldMaterial
 from ...shaping.mold.checks import THROUGH
+from ...shaping.mold.files import halves
 from ...shaping.mold.gcode import (
     PER_MINUTE,
     PILOTED,
@@ -28,9 +30,11 @@ from ...shaping.mold.gcode import (
     drill_diameter,
     placed_holes,
     programs,
+    slot_paths,
     stages_of,
     stock_size,
 )
+from ...shaping.mold.groove import Arc
 from ...shaping.mold.layout import Hole
 from ...shaping.mold.mandrel import SHANK, Cylinder, Mandrel, mandrel_cutter, mandrel_time
 from ...shaping.mold.mold import PARTS, Groove, Mold, clamp_corners
@@ -38,7 +42,7 @@ from ...shaping.tube_fabrication import TubeFabrication
 from ..page import WIDTH
 from .heating import draw_duty, draw_temperature
 from .mold import draw_lid, draw_mold, draw_plan, draw_space, extent, mold_heading, radius_text
-from .style import Figure, new_figure, picture
+from .style import INK, Figure, new_figure, picture
 
 A4 = (297.0, 210.0)
 """Width and height of a sheet, mm."""
@@ -80,13 +84,16 @@ def new_sheet(heading: str) -> Figure:
     return figure
 
 
-def write_at(figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal") -> None:
+def write_at(
+    figure: Figure, x: float, y: float, text: str, *, size: float = 7.5, weight: str = "normal", color: str = INK
+) -> None:
     """Write text with its upper left corner at x, y, mm."""
     # Words of a row have one baseline, 0.8 of the size below their upper edge; a point is 0.353 mm.
     several = "\n" in text
     at = y if several else y - 0.353 * 0.8 * size
     va = "top" if several else "baseline"
-    figure.text(x / A4[0], at / A4[1], text, fontsize=size, fontweight=weight, va=va, ha="left", linespacing=1.35)
+    figure.text(x / A4[0], at / A4[1], text, fontsize=size, fontweight=weight, va=va, ha="left", linespacing=1.35,
+                color=color)  # fmt: skip
 
 
 def _write_table(figure: Figure, columns: Sequence[float], top: float, *values: dict[str, str]) -> None:
@@ -210,9 +217,10 @@ HOLE_SIZES = 7.0, 6.0, 5.0, 4.0, 3.0
 
 @picture
 def plot_hole_sheet(mold: Mold, *, part: str, title: str = "") -> Figure:
-    """Drawing of a plate, "base" or "lid", as it lies on the machine, with its holes and grooves in numbers."""
-    of_robot = f"{title}, " if title else ""
-    figure = new_sheet(f"Holes{' and grooves' if part == 'base' else ''}: {of_robot}{part}")
+    """Drawing of a plate, "base" or "lid", as it lies on the machine, with its holes, grooves and slots in numbers."""
+    of_robot, paths = f"{title}, " if title else "", path_rows(mold, part)
+    cut = "" if not paths else " and grooves" if part == "base" else " and slots"
+    figure = new_sheet(f"Holes{cut}: {of_robot}{part}")
     zero = "Zero of X and Y in corner 0, Z = 0 on the upper face as it lies, mm"
     if part == "lid" and mold.slots:
         zero += "; lower face up, turned over about its left edge: corner 0 is the lower right one of the closed mold"
@@ -234,14 +242,13 @@ def plot_hole_sheet(mold: Mold, *, part: str, title: str = "") -> Figure:
         x, y = (np.array(hole.centre) + 0.4 * hole.diameter) * TO_MM
         axes.text(x, y, str(k), fontsize=5, ha="left", va="bottom")
     top = bottom - 4
-    grooves = groove_rows(mold) if part == "base" else []
     notes = hole_notes(mold, part)
     for size in HOLE_SIZES:
         step = 0.353 * 1.45 * size
         length = int((top - EDGE - step * (len(notes) + 1)) / step) - 1
-        if length > 0 and len(rows) + len(grooves) + 2 <= length * 3:
+        if length > 0 and len(rows) + len(paths) + 2 <= length * 3:
             break
-    lines = [*rows, *(((), *grooves) if grooves else ())]
+    lines = [*rows, *(((), *paths) if paths else ())]
     for k in range(0, len(lines), length):
         column = EDGE + TABLE_WIDTH * (k // length)
         for j, row in enumerate([HOLE_HEADING, *lines[k : k + length]]):
@@ -278,9 +285,10 @@ def hole_rows(mold: Mold, part: str) -> list[tuple[str, ...]]:
         tool = f"{hole.purpose}, drill {drill * TO_MM:g}"
         if hole.purpose == "dowel":
             tool += f", ream {hole.diameter * TO_MM:g}"
-        if hole.purpose == "hinge":
-            wide = 2 * hole.diameter * TO_MM
-            tool += f", countersink 90° to {wide:g} from the lower face"
+        # Heads are in the lower faces of lid and base: on the strip between base and leaf there is none.
+        if hole.purpose == "hinge" and mold.hinge:
+            headless = part == "lid" and hole.centre[1] > mold.hinge.pin
+            tool += ", no countersink" if headless else f", sunk {countersink_text(hole.diameter)}, lower face"
         x, y = (f"{value * TO_MM:.2f}" for value in hole.centre)
         fit = FITS.get(hole.purpose, DOWEL_FITS[part])
         rows.append(
@@ -297,32 +305,71 @@ def hole_rows(mold: Mold, part: str) -> list[tuple[str, ...]]:
     return rows
 
 
-def groove_rows(mold: Mold) -> list[tuple[str, ...]]:
-    """Rows of a table of the centrelines of the grooves: lines and arcs from the proximal end, mm."""
+def path_rows(mold: Mold, part: str) -> list[tuple[str, ...]]:
+    """Rows of a table of centrelines as a plate lies: of the grooves of the base, of the slots of the lid; mm."""
     rows: list[tuple[str, ...]] = []
+    slots = iter(slot_paths(mold))
     for groove in mold.grooves:
-        width, depth = (f"{size * TO_MM:.3f}" for size in (groove.width, groove.depth))
-        rows.append((f"groove of tube {groove.number}: {width} wide, {depth} deep, centreline:",))
-        for piece in groove.centreline.pieces:
+        if part == "base":
+            width, depth = (f"{size * TO_MM:.3f}" for size in (groove.width, groove.depth))
+            rows.append((f"groove of tube {groove.number}: {width} wide, {depth} deep, centreline:",))
+            pieces: Sequence[Arc] = groove.centreline.pieces
+        elif groove.slot is None:
+            continue
+        else:
+            pieces, slot = next(slots), groove.slot
+            sizes = f"{slot.mill.diameter * TO_MM:g} wide, {slot.depth * TO_MM:g} deep (+{SLOT_FIT:g})"
+            rows.append((f"slot over tube {groove.number} for the thermocouple: {sizes}, centreline:",))
+        for k, piece in enumerate(pieces):
             (x0, y0), (x1, y1) = ((x * TO_MM, y * TO_MM) for x, y in (piece.start, piece.end))
             text = f"line ({x0:.2f}, {y0:.2f}) to ({x1:.2f}, {y1:.2f})"
             if piece.curvature:
                 x, y = (value * TO_MM for value in piece.centre)
-                text = f"arc to ({x1:.2f}, {y1:.2f}), R {piece.radius * TO_MM:.3f}, centre ({x:.2f}, {y:.2f})"
+                start = f"from ({x0:.2f}, {y0:.2f}) " if k == 0 else ""
+                text = f"arc {start}to ({x1:.2f}, {y1:.2f}), R {piece.radius * TO_MM:.3f}, centre ({x:.2f}, {y:.2f})"
             rows.append(("", text))
+    if part == "lid" and mold.hinge:
+        low, high = (edge * TO_MM for edge in (halves(mold)[0][1], halves(mold)[1][0]))
+        rows.append((f"cut between lid and strip: Y {low:.2f} to {high:.2f}, through",))
     return rows
+
+
+SLOT_FIT = 0.1
+"""Tolerance of width and depth of a slot above nominal, mm: cement fills it."""
+
+
+def countersink_text(hole: float) -> str:
+    """Countersink for the head of a screw in a hole of this diameter (m), as text."""
+    return f"90° to {2 * hole * TO_MM:g}, {hole / 2 * TO_MM:g} deep"
+
+
+def zero_text(mold: Mold, part: str) -> str:
+    """Position of corner 0 on the stock, as text."""
+    if not mold.spec.workshop.cut_out:
+        return "Corner 0 is the lower left corner of the plate, which is cut to size before"
+    beside = [0.5 * (s - size) * TO_MM for s, size in zip(stock_size(mold, part), mold.size, strict=False)]
+    return (
+        f"Corner 0: square the stock to X. Its left edge is at X = {-beside[0]:g}, its lower edge at Y = "
+        f"{-beside[1]:g}, and further out by what clamps hold there"
+    )
 
 
 def hole_notes(mold: Mold, part: str) -> list[str]:
     """Notes below a table of holes."""
     notes = [
+        f"{zero_text(mold, part)}.",
         "All holes go through; Z is at the point of the drill, which runs into the waste board. Positions ± 0.1 mm, "
-        "diameters as in the table; the rest ISO 2768-m."
+        "diameters as in the table; the rest ISO 2768-m.",
     ]
     if mold.hinge is None:
         notes.append(
             "Dowels: the same distance in base and lid within 0.02 mm. On a coarser machine clamp the lid on the base, "
             "and drill and ream both at once."
+        )
+    else:
+        notes.append(
+            "Countersinks for the heads of the hinges' screws, by hand: no program cuts them."
+            + (" Dashed: the cut of the lid above." if part == "base" else "")
         )
     pilots = [hole for hole in placed_holes(mold, part) if drill_diameter(hole) > PILOTED]
     if pilots:
@@ -427,14 +474,45 @@ LEAF = 1.0
 """Thickness of a leaf of a hinge, mm (assumed)."""
 
 
+BEARING = 2e6
+"""Largest pressure of a washer on a board, Pa (assumed: boards are crushed by several MPa)."""
+
+THREAD_STRESS = 200e6
+"""Largest stress in a thread on plates of metal, Pa: a third of the yield point of class 8.8."""
+
+
+def thread_of(hole: float) -> float:
+    """Nominal diameter (m) of the thread for a clearance hole, m."""
+    return max((size for least, size in THREADS.items() if least <= hole * TO_MM + 1e-9), default=hole * TO_MM) / TO_MM
+
+
 def screw_text(hole: float, grip: float) -> str:
     """Screw of a clearance hole with the next length for plates of `grip`, as text; m.
 
     Nut and two washers with two turns beyond take 1.7 diameters.
     """
-    nominal = max((size for least, size in THREADS.items() if least <= hole * TO_MM + 1e-9), default=hole * TO_MM)
+    nominal = thread_of(hole) * TO_MM
     length = next((each for each in SCREW_LENGTHS if each >= grip * TO_MM + 1.7 * nominal), SCREW_LENGTHS[-1])
     return f"M{nominal:g} × {length}"
+
+
+def torque_of(hole: float, material: MoldMaterial) -> float:
+    """Largest tightening torque (N m) of the screw of a clearance hole (m), with flat washers on both plates.
+
+    Friction of thread and nut: T = 0.2 F d. A washer is twice as wide as its screw (ISO 7089, about).
+    """
+    nominal = thread_of(hole)
+    force = THREAD_STRESS * 0.72 * math.pi / 4 * nominal**2  # the core of a coarse thread is 0.72 of its circle
+    if material.electrically_insulating:
+        force = min(force, BEARING * math.pi / 4 * ((2 * nominal) ** 2 - hole**2))
+    return 0.2 * force * nominal
+
+
+def tightening_text(hole: float, material: MoldMaterial) -> str:
+    """Washers and torque of the screw of a clearance hole (m), as text."""
+    torque = torque_of(hole, material)
+    by_hand = ", finger-tight, since more crushes the board" if material.electrically_insulating else ""
+    return f"flat washers (ISO 7089) under head and nut, at most {torque:.1g} N m{by_hand}"
 
 
 def mold_steps(mold: Mold) -> list[str]:
@@ -443,14 +521,16 @@ def mold_steps(mold: Mold) -> list[str]:
     heat, clamps, shop = spec.heat, spec.clamps, spec.workshop
     degrees = heat.set_temperature - ZERO_CELSIUS
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
+    widening = f", then widens at 45° to {clamps.width * TO_MM:g} mm" if clamps.width > clamps.face_width else ""
     return [
         f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm (base.dxf, lid.dxf). "
         f"Add what the clamps hold: they stay {math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate. "
         f"Waste board {_waste_board(mold):g} mm. Faces flat within "
         f"{spec.groove.clearance * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
         f"cutter's path within {TOLERANCE * TO_MM:g} mm; the rest ISO 2768-m.",
-        "Positions, depths and fits of the holes, and the centrelines of the grooves: base_holes.pdf, lid_holes.pdf.",
-        f"Programs of the table in its order (for {spec.workshop.dialect}), zero X and Y at corner 0, Z on the upper "
+        "Positions, depths and fits of holes, grooves and slots: base_holes.pdf, lid_holes.pdf.",
+        f"{zero_text(mold, 'base')}.",
+        f"Programs of the table in its order (for {spec.workshop.dialect}), Z = 0 on the upper "
         f"face with each tool. {cooling_text(spec.material)}. Break the edges of grooves and holes by hand"
         + (f"; cut the tabs ({shop.tab_height * TO_MM:g} mm) and file them flush." if shop.cut_out else "."),
         f"{_fasteners(mold)}."
@@ -462,9 +542,9 @@ def mold_steps(mold: Mold) -> list[str]:
         *(
             (
                 f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. "
-                f"Their face is {clamps.face_width * TO_MM:g} mm wide and widens at 45° to "
-                f"{clamps.width * TO_MM:g} mm. The {fixed} one is fixed; the {clamps.sliding_end} one must slide "
-                "outwards by the travel in the table, or the hot tube buckles.",
+                f"Their face is {clamps.face_width * TO_MM:g} mm wide{widening}. The {fixed} one is "
+                f"fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
+                "buckles.",
                 f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in "
                 f"water: {opening_text(mold)}, tube out by "
                 "tongs. Until then it cools slowly; the heating sheet has the temperatures.",
@@ -515,7 +595,8 @@ def _fasteners(mold: Mold) -> str:
         bolts, pin = sum(hole.purpose == "bolt" for hole in mold.holes), plate.dowel_diameter * TO_MM
         length = max((each for each in PIN_LENGTHS if each <= grip * TO_MM), default=PIN_LENGTHS[0])
         return (
-            f"{bolts} bolts {bolt} with nuts, holes {plate.bolt_diameter * TO_MM:g} mm. 2 dowels {pin:g} m6 × "
+            f"{bolts} bolts {bolt} with nuts, holes {plate.bolt_diameter * TO_MM:g} mm; "
+            f"{tightening_text(plate.bolt_diameter, mold.spec.material)}. 2 dowels {pin:g} m6 × "
             f"{length}: drilled {pin - REAMED * TO_MM:g} mm, reamed {pin:g} {DOWEL_FITS['base']} in the base (pins "
             f"stay) and {pin:g} {DOWEL_FITS['lid']} in the lid (it slides)"
         )
@@ -524,9 +605,10 @@ def _fasteners(mold: Mold) -> str:
     return (
         f"{len(hinge.on_lid) // 2} hinges: {len(hinge.on_lid)} screws {screw_text(screw, plate.lid_thickness + leaf)} "
         f"in the lid, {len(hinge.on_strip)} screws {screw_text(screw, grip + leaf)} through strip and base, "
-        f"countersunk 90° to {2 * screw * TO_MM:g} mm, {screw / 2 * TO_MM:g} mm deep. {len(hinge.latches)} latches: "
+        f"countersunk {countersink_text(screw)} in the lower faces of lid and base, at most "
+        f"{torque_of(screw, mold.spec.material):.1g} N m. {len(hinge.latches)} latches: "
         f"bolts {bolt}, holes {plate.bolt_diameter * TO_MM:g} mm, "
-        f"in the lid {mold.spec.hinge.latch_diameter * TO_MM:g} mm (piloted)"
+        f"in the lid {mold.spec.hinge.latch_diameter * TO_MM:g} mm (piloted), finger-tight"
     )
 
 
@@ -612,10 +694,21 @@ def mandrel_steps(mandrel: Mandrel) -> list[str]:
         "and clamp one end only: the other must be free to grow.",
         f"Set it in a furnace, mandrel and all: the tube at {heat.set_temperature - ZERO_CELSIUS:.0f} ± "
         f"{heat.tolerance:.0f} °C for {heat.hold_time:g} s, counted from when a thermocouple on the tube is "
-        "there; then quench in water. No heating by current is planned: the heat that a mandrel takes off a tube is "
-        "not known.",
+        f"there. {mandrel_cooling(mandrel)}. No heating by current is planned: the heat that a mandrel takes off a "
+        "tube is not known.",
         "Trim the ends. Measure the tube; `tubeopt mold mandrel` prints the expected tube.",
     ]
+
+
+def mandrel_cooling(mandrel: Mandrel) -> str:
+    """Cooling of a tube on its hot mandrel, as text."""
+    if isinstance(mandrel.body, Cylinder) and not mandrel.spec.material.electrically_insulating:
+        return "Then quench the mandrel with the tube in water, by long tongs: steam"
+    return (
+        "Never put a hot mandrel of ceramic or board into water: it cracks, and steam throws pieces. Let it cool in a "
+        "draught of air. The tube passes 400 to 500 °C slowly, which changes its Af: measure it. A mandrel of metal "
+        "can be quenched"
+    )
 
 
 QUARTERS = (0.25, 0.5, 0.75)
@@ -623,9 +716,17 @@ QUARTERS = (0.25, 0.5, 0.75)
 
 
 @picture
-def plot_fabrication_sheet(fabrication: TubeFabrication, *, title: str = "", success: str = "") -> Figure:
-    """Heating sheet for the operator: one page A4 that begins with the probability of success."""
+def plot_fabrication_sheet(
+    fabrication: TubeFabrication, *, title: str = "", success: str = "", faults: Sequence[str] = ()
+) -> Figure:
+    """Heating sheet for the operator: one page A4 that begins with the probability of success.
+
+    Args:
+        fabrication: mold and heating of a tube. title: its name. success: probability of success, as text.
+        faults: violated conditions: with any, the sheet says "do not run" at its top.
+    """
     plan = fabrication.heating
+    stops = [*faults, *cut_out(plan).problems]
     figure = new_sheet(f"Heating sheet: {title or f'tube {fabrication.groove.number}'}")
     left, wide, top = 0.09, 0.37, 0.47 * A4[1]
     over_time = figure.add_axes((left, 0.68, wide, 0.185))
@@ -637,15 +738,46 @@ def plot_fabrication_sheet(fabrication: TubeFabrication, *, title: str = "", suc
     write_at(figure, EDGE, A4[1] - EDGE + 5, success or "success: not known", weight="bold")
     write_at(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
     _write_table(figure, (EDGE, EDGE + 62.0), top, heating_numbers(fabrication))
-    for head, lines, y in (
-        ("Time line", time_line(fabrication), A4[1] - EDGE - 6),
-        ("Before", preparation(fabrication), A4[1] - EDGE - 50),
-        ("Safety", safety(plan), A4[1] - EDGE - 108),
-    ):
-        write_at(figure, 152.0, y, head, weight="bold")
-        wrapped = [textwrap.fill(line, LINE_LETTERS, initial_indent="- ", subsequent_indent="  ") for line in lines]
-        write_at(figure, 152.0, y - ROW, "\n".join(wrapped))
+    if stops:
+        write_at(figure, SECOND, A4[1] - EDGE, "DO NOT RUN THIS HEATING", size=13, weight="bold", color=STOP)
+    lists = {"Do not run, because": stops} if stops else {}
+    lists |= {
+        "Before": preparation(fabrication),
+        "Heating": running(fabrication),
+        "Time line": time_line(fabrication),
+        "Safety": safety(plan),
+    }
+    _write_lists(figure, SECOND, A4[1] - EDGE - 6, lists)
     return figure
+
+
+SECOND = 152.0
+"""Left edge of the lists of a heating sheet, mm."""
+
+STOP = "#B00020"
+"""Colour of what forbids a heating."""
+
+
+def _write_lists(figure: Figure, x: float, top: float, lists: Mapping[str, Sequence[str]]) -> None:
+    """Write lists below each other, each with a heading, in the largest letters with which they fit the page."""
+    for size in STEP_SIZES:
+        step = 0.353 * 1.35 * size
+        letters = int(LINE_LETTERS * STEP_SIZES[0] / size)
+        wrapped = {
+            head: [textwrap.fill(line, letters, initial_indent="- ", subsequent_indent="  ") for line in lines]
+            for head, lines in lists.items()
+        }
+        heights = [step * (1.5 + sum(text.count("\n") + 1 for text in texts)) + GAP for texts in wrapped.values()]
+        if sum(heights) < top - EDGE:
+            break
+    for (head, texts), height in zip(wrapped.items(), heights, strict=True):
+        write_at(figure, x, top, head, size=size, weight="bold")
+        write_at(figure, x, top - 1.5 * step, "\n".join(texts), size=size)
+        top -= height
+
+
+GAP = 2.0
+"""Space between two lists, mm."""
 
 
 def heating_numbers(fabrication: TubeFabrication) -> dict[str, str]:
@@ -662,7 +794,7 @@ def heating_numbers(fabrication: TubeFabrication) -> dict[str, str]:
         "curved part in the hold (°C)": f"{plan.lowest:.1f} to {plan.highest:.1f}",
         "ramp / hold (s)": f"{plan.hold_start:g} / {plan.spec.hold_time:g}",
         "counts of 255, ramp at most / hold": f"{plan.duty.max()} / {hold.max()} to {hold.min()}",
-        "slot (s) / pulses (Hz)": f"{plan.spec.slot:g} / {plan.rig.circuit.pwm_frequency:g}",
+        "slot (s) / pulses (Hz)": f"{plan.spec.slot:g} / {plan.rig.circuit.pwm_frequency:.4g}",
         "battery at rest / least under load (V)": f"{plan.rig.battery.voltage:.2f} / {plan.voltage[on].min():.2f}",
         "current while on / rms of 10 s (A)": f"{plan.peak_current:.0f} / {root_mean_square(plan):.1f}",
         "fuse (A) / copper cable (mm²)": f"{fuse_of(plan)} / {cable_of(plan):g}",
@@ -702,20 +834,48 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
     """Steps before switching on, as text: set-up, wiring, measurements."""
     plan, spec = fabrication.heating, fabrication.mold.spec
     battery, fixed = plan.rig.battery, "distal" if spec.clamps.sliding_end == "proximal" else "proximal"
+    voltage = f"Battery rested and disconnected: {battery.voltage:.2f} V. "
+    if plan.feedback is None:
+        voltage += "With another voltage take its own schedule (heating/schedule_..V), not this one."
+    else:
+        voltage += "Down to 60 % charge the board takes the schedule of the voltage that it measures."
+    thermometer = [
+        "Thermocouple: bead on the middle of the bend (set-up sheet), insulated: above 1 Mohm to the tube. The board "
+        "reads room temperature; warm the bead: the reading must rise, or its legs are swapped."
+    ]
+    sensed = plan.feedback is not None and isinstance(plan.feedback.sensor, Thermocouple)
     return [
         f"Tube in its groove, {plan.rig.clamps.grip * TO_MM:g} mm of it in each clamp; the {fixed} clamp is fixed, the "
         f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.",
-        f"Battery rested and disconnected: {battery.voltage:.2f} V. With another voltage take its own schedule "
-        "(`tubeopt heat plan rig.yaml --battery-V`), not this one.",
-        f"Polarity: battery plus, fuse, main switch, cut-out, {fixed} clamp; "
+        *(thermometer if sensed else ()),
+        voltage,
+        f"Polarity: battery plus, fuse, main switch, cut-out, current sensor, {fixed} clamp; "
         f"{spec.clamps.sliding_end} clamp, MOSFET (drain), its "
         "source to battery minus. A diode across the tube has its ring on the side of the fuse. The tube itself has no "
         "polarity.",
-        "Power off: the resistance from each clamp to the plates must be high if the mold insulates. From clamp to "
-        "clamp a multimeter measures mainly its own leads; check the current instead.",
-        "With a board (`tubeopt heat firmware rig.yaml` has its sketch, wiring and parts): test the cut-out (`tubeopt "
-        "heat run --test-cutout`), then a dry run (`--dry`). Its start checks "
-        "switch, cut-out and the current of one pulse. Without a board: one pulse by hand; compare the current.",
+        "Power off: the resistance from each clamp to the plates must be above 1 Mohm if the mold insulates. From "
+        "clamp to clamp a multimeter measures mainly its own leads; check the current instead.",
+    ]
+
+
+def running(fabrication: TubeFabrication) -> list[str]:
+    """Steps from the finished set-up to the heating, as text."""
+    plan, port = fabrication.heating, "--port PORT"
+    if plan.feedback is None:
+        return [
+            "This is the schedule alone. `tubeopt heat firmware rig.yaml` has sketch, wiring and parts of a board that "
+            "corrects it by a thermocouple.",
+            "One pulse by hand: compare the current with the table. Then the whole schedule (heating/schedule.h).",
+        ]
+    law = plan.feedback.law
+    return [
+        "Wire as firmware/wiring.png; load firmware/tube_heater onto the board. It is for this tube alone.",
+        f"Every day: test the cut-out, `tubeopt heat run {port} --test-cutout`; then a dry run, with `--dry`.",
+        f"`tubeopt heat run {port} --out .` in the folder of this sheet. Its start checks switch, cut-out and the "
+        "current of one pulse.",
+        f"The board corrects the counts of the table, at most by {100 * law.share:.0f} %. Where the tube lags, the "
+        f"schedule waits up to {law.patience:g} s: the times below are the earliest.",
+        'Use the tube only if the board reports "done".',
     ]
 
 
@@ -728,14 +888,13 @@ def safety(plan: HeatingPlan) -> list[str]:
         f"battery's plus, the stop button within reach. The mean current is {reserve:.0f} % below its limit.",
         f"The tube is at {plan.hottest:.0f} °C; clamps reach {plan.clamp_temperature.max():.0f} °C, the groove "
         f"{plan.mold_temperature.max():.0f} °C: wear gloves and goggles, and keep it away from anything that burns.",
-        f"Shorted switch: the cut-out must open within {1e3 * cut.budget:.0f} ms, or the tube passes 650 °C. At the "
-        f"{plan.rig.circuit.pwm_frequency:g} Hz of the rig file it takes {1e3 * cut.delay:.0f} ms: {cut.peak:.0f} °C "
-        "at most. `tubeopt heat firmware` prints both for the pulses of a board. Test it every day: "
-        "`tubeopt heat run --port PORT --test-cutout`.",
-        *cut.problems,
+        f"Shorted switch: the cut-out must open within {1e3 * cut.budget:.0f} ms, or the tube passes 650 °C. With "
+        f"pulses of {plan.rig.circuit.pwm_frequency:.4g} Hz it takes {1e3 * cut.delay:.0f} ms: {cut.peak:.0f} °C "
+        "at most.",
         "Main switch off before a hand touches clamps or mold. Quench with tongs in hand; water spits.",
-        *([] if plan.feedback is None else [f"The board stops by itself at {plan.feedback.law.ceiling:.0f} °C."]),
-        *([] if plan.feedback else ["No sensor leads this heating: without a thermometer a miss stays unseen."]),
+        "No sensor leads this heating: without a thermometer a miss stays unseen."
+        if plan.feedback is None
+        else f"The board stops by itself at {plan.feedback.law.ceiling:.0f} °C.",
         "Above the limit, or where the tube does not follow the time line: stop.",
         "After a stop or a miss: main switch off, let the tube cool in the mold; do not use it. Find the cause first, "
         "or calibrate by the log (`tubeopt heat calibrate`); then heat a new tube.",
