@@ -172,13 +172,13 @@ COMMANDS: dict[str, StudyCommand | str] = {
     ),
     "fabricate": StudyCommand(
         "fabrication",
-        """Prepare molds and heating for every tube of a robot: drawings, G-code, duty-cycle tables, plots.
+        """Prepare molds and heating for every tube of a robot: drawings, G-code, schedules, firmware, sheets.
 
         Molds are drawn for the rig, and the heating is planned with these molds. Exit code 3: a tube violates
-        window, limit, ramp or current limits, or fewer than half of the random rigs succeed without a sensor. Also if
-        mold and heating do not match. All results are still shown and saved.""",
+        window, limit, ramp or current limits, or too few random rigs succeed: less than 95 % with a sensor, less than
+        half without one. Also if mold and heating do not match. All results are still shown and saved.""",
         defaults={"charges_percent": CHARGES},
-        example="tubeopt fabricate thesis_etr --rig thesis_calcium_silicate --sensor thermocouple --out results",
+        example="tubeopt fabricate thesis_etr --rig thesis_calcium_silicate --board uno --out results",
     ),
     "heat plan": StudyCommand(
         "heating",

@@ -92,14 +92,14 @@ class Board:
     """Pins of gate, tick of the cut-out, stop button, chip select, voltage, current and analog temperature; clock and
     data of the converter are those of SPI in the board's core.
     """
-    prefix: str = ""
-    """Name of its pins before their number, as printed on the board."""
+    prefix: str = "pin "
+    """Name of its pins before their number."""
     core: str = ""
     """Arduino core of the board that has to be installed; "" for that of the Arduino IDE."""
 
     def pin(self, use: str) -> str:
         """Name of the pin for a key of `pins`, as text."""
-        return f"pin {self.prefix}{self.pins[use]}"
+        return f"{self.prefix}{self.pins[use]}"
 
 
 AVR_PINS = {
@@ -122,7 +122,7 @@ BOARDS = {
     "esp32": Board(
         "esp32", "ESP32", (31.0, 122.0, 490.0), 4096, 3.3,
         {"gate": "25", "tick": "26", "stop": "27", "select": "5", "voltage": "34", "current": "35",
-         "temperature": "32", "clock": "18", "data": "19"}, "GPIO", "core esp32 of Espressif, version 3",
+         "temperature": "32", "clock": "18", "data": "19"}, "IO", "core esp32 of Espressif, version 3",
     ),
     "pico": Board(
         "pico", "Raspberry Pi Pico", (122.0, 490.0), 1024, 3.3,

@@ -605,7 +605,7 @@ def _fasteners(mold: Mold) -> str:
     return (
         f"{len(hinge.on_lid) // 2} hinges: {len(hinge.on_lid)} screws {screw_text(screw, plate.lid_thickness + leaf)} "
         f"in the lid, {len(hinge.on_strip)} screws {screw_text(screw, grip + leaf)} through strip and base, "
-        f"countersunk {countersink_text(screw)} in the lower faces of lid and base, at most "
+        f"countersunk {countersink_text(screw)}. Heads in the lower faces of lid and base, at most "
         f"{torque_of(screw, mold.spec.material):.1g} N m. {len(hinge.latches)} latches: "
         f"bolts {bolt}, holes {plate.bolt_diameter * TO_MM:g} mm, "
         f"in the lid {mold.spec.hinge.latch_diameter * TO_MM:g} mm (piloted), finger-tight"
