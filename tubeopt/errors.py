@@ -64,6 +64,10 @@ class TimeLimitError(SolveError):
     """
 
 
+class FlutterError(SolveError):
+    """A branch ends by flutter: oscillations about the equilibrium grow, so that it has no next equilibrium."""
+
+
 class NotProvedError(RuntimeError):
     """An answer was returned, but its proof was not finished in time; the message has its progress."""
 

@@ -11,7 +11,6 @@ from tubeopt import (
     Equilibrium,
     Load,
     PlanOptions,
-    SolveError,
     Tube,
     find_snap,
     follow,
@@ -21,6 +20,7 @@ from tubeopt import (
 )
 from tubeopt.block.transcription.loaded import monotonicity
 from tubeopt.equilibrium.kinematics import point_of, sure_margin
+from tubeopt.errors import FlutterError
 from tubeopt.planning import trajectory_trace
 from tubeopt.planning.loaded_branch import CHORD_ERROR, _Bounds, _Displacement, loaded_branch
 from tubeopt.planning.loaded_sections import DeadLoad, LoadedArms, LoadedIntervals
@@ -220,7 +220,7 @@ def test_flutter_is_no_snap(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trajectory_trace, "MAX_EQUILIBRIA", 60)
     proof = verify_trajectory(robot, [0, 1], [[0.0]] * 2, ends, load=load)
     assert proof.faults[0].startswith("the robot begins to flutter at 92 % of the trajectory (0.92 s)")
-    with pytest.raises(SolveError, match=r"flutter at 94\.575 %"):
+    with pytest.raises(FlutterError, match=r"flutter at 94\.575 %"):
         find_snap(robot, ([0.0], ends[0]), ([0.0], ends[1]), load=load)
 
 

@@ -26,7 +26,7 @@ from ..arguments import typed
 from ..block.transcription.mesh import BEND_PER_ELEMENT, LOADED_WAVES, loaded_counts
 from ..constants import GRAVITY
 from ..display import Displayed
-from ..equilibrium.kinematics import TOLERANCE, SolveRequest, forward_kinematics, unloaded
+from ..equilibrium.kinematics import TOLERANCE, TORSION_FREE, SolveRequest, forward_kinematics, unloaded
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
@@ -296,7 +296,7 @@ def _cases(space: JointSpace) -> list[Array]:
             pose = forward_kinematics(space.robot, rotations, shift)
         except SolveError:
             continue
-        if pose.margin > 0.3 and "without torsion" in pose.statistics.start:
+        if pose.margin > 0.3 and pose.statistics.start == TORSION_FREE:
             found.append(np.concatenate([rotations, shift, pose.tip_position, [pose.margin]]))
         if len(found) == CASES:
             break

@@ -26,7 +26,7 @@ from ..block.transcription.arm import ArmSolution, Profile, profile
 from ..block.transcription.loaded import monotonicity
 from ..block.transcription.reduced import ReducedProblem, evaluate
 from ..bodies.obstacles import Obstacle, checked_obstacles
-from ..errors import InputError, SolveError, choice, positive
+from ..errors import FlutterError, InputError, SolveError, choice, positive
 from ..files.field_metadata import POSITIVE, OneOf, unit
 from ..robots.eccentric import BundleRobot, by_model
 from ..robots.load import Load
@@ -146,6 +146,9 @@ def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
 # The error of the shape is a fraction of the length of a piece of a tube, not of the arm.
 SHORT = 0.01
 """Reference length (m) of the tip error of tubes made of pieces: 1e-10 m at the default tolerance."""
+
+TORSION_FREE = "tubes without torsion"
+"""Start of a cold solve, as `Statistics.start` names it."""
 
 FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
 
@@ -353,7 +356,7 @@ def unloaded(
             iterations=result.iterations,
             elements=solved.elements,
             degree=DEFAULT_DISCRETISATION.degree,
-            start="tubes without torsion" if guess is None else "guess",
+            start=TORSION_FREE if guess is None else "guess",
             seconds=time.perf_counter() - request.start_time - solved.loading,
             refinement=refinement,
             loading=solved.loading,
@@ -673,7 +676,7 @@ def _descend(member: Member[Any], solver: Method) -> tuple[AnyPoint, str]:
     try:
         point = _solve(member, member.untwisted(), solver)
         if point.margin > 0:
-            return point, "tubes without torsion"
+            return point, TORSION_FREE
     except SolveError as error:
         failure = f" ({error})"
     # Newton's method ended in a saddle, or did not converge: symmetric tubes that oppose one another are such a case.
@@ -765,13 +768,14 @@ def _continued(family: Family, last: Milestone, load_grows: bool, request: Solve
     stable = load_grows or (family.load is not None and point.margin > 0)
     point = reach(family, point, stable=stable, shortest=shortest)
     if point.t < 1.0 and load_grows:
-        if point.member.flutters(point.state):
+        flutters = point.member.flutters(point.state)
+        if flutters:
             ending = "it begins to flutter"
         else:
             ending = "it bifurcates" if bifurcates(family, point) else "it ends in a fold"
         why = f"{ending} at {100 * point.t:.4g} % of the load"
         best = to_equilibrium(point, "the load before") if point.t else last.pose
-        raise SolveError(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", best)
+        raise (FlutterError if flutters else SolveError)(f"{Status.BRANCH_ENDED_UNDER_LOAD}: {why}", best)
     if point.t < 1.0:
         why = f"it ends {100 * point.t:.2f} % of the path from the start to the goal"
         raise SolveError(f"{Status.BRANCH_ENDED}: {why}", last.pose)

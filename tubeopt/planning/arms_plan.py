@@ -174,7 +174,7 @@ def plan_arms(
         with of_arm(known, k):
             space = joint_space(known[k].robot, None, options.carriage_gap, options.section_length)
             first.append(start_equilibrium(space.holding(*shift_of(known[k].robot, start)), start))
-    _check_starts(known, first, options.clearance)
+    _check_starts(known, first, options.kept_clearance)
     goals = [goal_seen(goal, arm.base) for arm, goal in zip(known, goals, strict=True)]
     for k, goal in enumerate(goals):
         with of_arm(known, k):
@@ -199,10 +199,10 @@ def plan_arms(
     order, moves = _one_by_one(known, first, planned, clock)
     requirements: dict[str, Any] = {
         "obstacles": bodies,
-        "clearance": options.clearance,
+        "clearance": options.kept_clearance,
         "min_margin": min_margin - 1e-6,
     }
-    for motions in _overlapped(known, first, moves, options.clearance):
+    for motions in _overlapped(known, first, moves, options.kept_clearance):
         limit = max(clock.left, MIN_SECONDS)
         proof = verify_arms(known, motions, starts=first, time_limit=limit, **requirements)
         if proof.holds or clock.over:
@@ -211,7 +211,7 @@ def plan_arms(
     for k in twice:
         final = replace(motions[k], proof=proof.proofs[k], obstacles=bodies_in_frame(known[k].base, bodies))
         motions = (*motions[:k], final, *motions[k + 1 :])
-    return ArmsPlan(known, motions, order, bodies, min_margin, options.clearance, proof, clock.seconds, twice)
+    return ArmsPlan(known, motions, order, bodies, min_margin, options.kept_clearance, proof, clock.seconds, twice)
 
 
 def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float) -> None:

@@ -653,7 +653,7 @@ class Motion:
 
     def _built(self, solution: Any) -> Trajectory | Faults:
         task, motion = self._task(self._margin_of(solution)), self._curve(solution)
-        statistics = PlanStatistics("program", "", 0, 0.0, 0.0, 0, len(self.times), 0.0)
+        statistics = PlanStatistics(how="program", knots=len(self.times))
         return build(task, self._begin(), None, motion, statistics)
 
     def _missing(self, solution: Any, room: float) -> Between | None:

@@ -92,8 +92,8 @@ SHORT = 1e-9
 """Length of a path, in units of the joint scales, below which it is not smoothed."""
 
 
-class BaseCandidate(NamedTuple):
-    """Motion to prove, from one pose of the base plate."""
+class CandidateMotion(NamedTuple):
+    """Motion near a path, to be proved."""
 
     motion: JointMotion
     smoothed_for: str
@@ -103,7 +103,7 @@ class BaseCandidate(NamedTuple):
     knots: int
 
 
-def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[BaseCandidate]:
+def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[CandidateMotion]:
     """Time-optimal motions near a path (k, m), best first; the last is the path itself, with stops at its corners.
 
     A motion smoothed for length is neither longer nor slower than the path; one smoothed for time is no slower than
@@ -112,7 +112,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Base
     clock, limits, aim, extra = task.clock, actuators(task, first), task.options.objective, task.options.extra_cost
     curves = joint_curves(task, points)
     resting = stopping_at(curves, limits)
-    candidates = list[BaseCandidate]()
+    candidates = list[CandidateMotion]()
     scanned = aim == "length" and extra is None and any(isinstance(body, DistanceField) for body in task.obstacles)
     max_seconds = SCANNED_SECONDS * clock.parallel_slowdown if scanned else task.options.smoothing_seconds
     smoothing_clock = Clock(min(max_seconds, SMOOTHING_FRACTION * clock.left), clock)
@@ -125,7 +125,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Base
             joints = best.motion.sampled(task.scale)[1]
             rounder = None if exact else round_corners(task, first, joints, best.points[-1], limits, smoothing_clock)
             motion = best.motion if name == "effort" else rounder or at_full_speed(best.motion, limits)
-            candidates.append(BaseCandidate(motion, name, best.iterations, len(best.points)))
+            candidates.append(CandidateMotion(motion, name, best.iterations, len(best.points)))
     if aim in ("length", "time") and extra is None:
         remaining = Clock(min(ROUNDING_SECONDS * clock.parallel_slowdown, ROUNDING_FRACTION * clock.left), clock)
         joints = np.concatenate(curves)
@@ -133,7 +133,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Base
             len(curves) > 1
             and (corners := round_corners(task, first, joints, points[-1], limits, remaining)) is not None
         ):
-            candidates.append(BaseCandidate(corners, "corners", 0, len(points)))
+            candidates.append(CandidateMotion(corners, "corners", 0, len(points)))
         if aim == "time":
             candidates = [each for each in candidates if each.motion.duration <= resting.duration]
             candidates.sort(key=lambda each: each.motion.duration)
@@ -141,7 +141,7 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Base
             longest, slowest = (x * (1 + SAME_LENGTH) for x in (resting.length(task.scale), resting.duration))
             lengths = [(each.motion.length(task.scale), each) for each in candidates if each.motion.duration <= slowest]
             candidates = [each for length, each in sorted(lengths, key=lambda pair: pair[0]) if length <= longest]
-    return [*candidates, BaseCandidate(resting, "", 0, len(points))]
+    return [*candidates, CandidateMotion(resting, "", 0, len(points))]
 
 
 def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
@@ -221,7 +221,7 @@ def passing(
 
     `how` and `motions`: method of the search and number of motions that it checked.
     """
-    statistics = PlanStatistics(how, "", motions, 0.0, 0.0, 0, len(q), task.clock.seconds)
+    statistics = PlanStatistics(how=how, motions=motions, knots=len(q), search_seconds=task.clock.seconds)
     motion = through(q, task.scale, actuators(task, first))
     end = End(last, q[-1], (0,) * first.robot.n_tubes)
     result = build(task, first, end, motion, statistics)
@@ -411,8 +411,16 @@ def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: PathRe
     smoothed = clock.seconds
     faults: Faults = ()
     for candidate in motions:
-        numbers = (path.motions, raw, 0.0, candidate.iterations, candidate.knots, searched, smoothed - searched)
-        statistics = PlanStatistics(path.how, candidate.smoothed_for, *numbers)
+        statistics = PlanStatistics(
+            how=path.how,
+            smoothed=candidate.smoothed_for,
+            motions=path.motions,
+            raw_length=raw,
+            iterations=candidate.iterations,
+            knots=candidate.knots,
+            search_seconds=searched,
+            smooth_seconds=smoothed - searched,
+        )
         result = build(task, first, end, candidate.motion, statistics)
         if isinstance(result, Trajectory):
             return result
@@ -432,7 +440,9 @@ def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], path
         with suppress(OutOfTimeError):
             points, motion = _affordable(task, path.closest, actuators(task, first), clock.left)
         if motion is not None:
-            statistics = PlanStatistics("partial", "", path.motions, 0.0, 0.0, 0, len(points), clock.seconds)
+            statistics = PlanStatistics(
+                how="partial", motions=path.motions, knots=len(points), search_seconds=clock.seconds
+            )
             result = build(task, first, None, motion, statistics)
             partial = result if isinstance(result, Trajectory) and result.proof.holds else None
     nearest = f"; the closest state is {distance:.3g} (joint scales) from the goal" if distance == distance else ""
@@ -585,7 +595,7 @@ def plan_from_region(
     if not order:
         raise SolveError(
             f"no plan exists from the {len(score)} checked base poses: at each the clearance "
-            f"of the arm at the start is below {options.clearance * 1e3:g} mm"
+            f"of the arm at the start is below {task.clearance * 1e3:g} mm"
         )
 
     def planned(frame: Frame, left: int) -> Trajectory:

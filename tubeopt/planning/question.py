@@ -172,6 +172,11 @@ class PlanOptions(Displayed):
     roadmap: PathSource | None = field(default=None, repr=False)
     """Roadmap that is searched first, see `build_roadmap`."""
 
+    @property
+    def kept_clearance(self) -> float:
+        """Distance that arms keep from bodies and from each other, m, without the deflection under `max_force`."""
+        return self.clearance
+
     def __post_init__(self) -> None:
         check_fields(self)
         instance("extra_cost", self.extra_cost, CustomObjective, optional=True)
@@ -254,7 +259,7 @@ def plan_task(
         coordinates,
         bodies,
         required,
-        options.clearance,
+        options.kept_clearance,
         clock=clock,
         max_force=options.max_force,
         rates=rate_limits,

@@ -413,7 +413,7 @@ class PairReach(Displayed):
         for i, first in arms[0].items():
             for j, second in arms[1].items():
                 apart[i, j] = _apart(first, second)
-        return PairFraction((sides[0], sides[1]), apart, self.options.clearance)
+        return PairFraction((sides[0], sides[1]), apart, self.options.kept_clearance)
 
     def __call__(self, one: Robot, other: Robot, variables: Array) -> tuple[float, float]:
         """Score, from 0 (all pairs reached) to 1, with the distances from missed targets; and the fraction of pairs."""

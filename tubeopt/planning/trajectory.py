@@ -35,26 +35,26 @@ from .motion import RateLimits
 from .proof import Proof
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class PlanStatistics:
     """Statistics of search, smoothing and proof."""
 
     how: str
     """Method that found the path: "straight", "detour", "search", ..."""
-    smoothed: str
+    smoothed: str = ""
     """Objective of the smoothing; "corners" if only corners are rounded; "" if the motion stops at them, since
     smoothing was not requested, not valid, or no better."""
-    motions: int
+    motions: int = 0
     """Number of motions that the search checked."""
-    raw_length: float
+    raw_length: float = 0.0
     """Length of the searched path in joint space, in units of the joints' scales (1 rad, half the longest tube)."""
-    length: float
+    length: float = 0.0
     """Length of the final path, in the units of the search."""
-    iterations: int
+    iterations: int = 0
     """Number of iterations of the smoothing."""
-    knots: int
+    knots: int = 0
     """Number of knots of the smoothing."""
-    search_seconds: float
+    search_seconds: float = 0.0
     smooth_seconds: float = 0.0
     proof_seconds: float = 0.0
     seconds: float = 0.0

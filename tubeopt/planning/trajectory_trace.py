@@ -31,7 +31,7 @@ from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.continuation import meetings
 from ..equilibrium.kinematics import forward_kinematics, linearised, one_step, sure_margin
 from ..equilibrium.result import Equilibrium
-from ..errors import SolveError
+from ..errors import FlutterError, SolveError
 from ..inverse.clock import Clock
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -459,7 +459,7 @@ class TrajectoryVerifier:
             path = (e.rotations, e.translations), (target[0], target[1])
             snap = find_snap(self.robot, *path, equilibrium=e, load=self.load)
         except SolveError as error:
-            self.flutters = "flutter" in str(error)
+            self.flutters = isinstance(error, FlutterError)
             return None
         return None if snap is None else start.at + snap.fraction * (at - start.at)
 

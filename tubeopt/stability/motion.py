@@ -23,7 +23,7 @@ from ..equilibrium.kinematics import along, followed_by_kernel, point_of, to_equ
 from ..equilibrium.member import AnyPoint
 from ..equilibrium.problem import LOADED_DISCRETISATION
 from ..equilibrium.result import Equilibrium, Statistics
-from ..errors import SolveError
+from ..errors import FlutterError, SolveError
 from ..robots.load import Load
 from ..robots.robot import Robot
 from ..typing import Array, Delegate, StatusEnum
@@ -183,11 +183,12 @@ def leave(family: Family, last: AnyPoint, loss: Loss | None, goal: float) -> Any
     smooth bifurcation); or nothing stable is near the end, but the fall from just beyond it goes far (a snap).
 
     Raises:
-        SolveError: the robot flutters, or no stable equilibrium is reached.
+        FlutterError: the robot flutters.
+        SolveError: no stable equilibrium is reached.
     """
     lost, direction = (last, last.softest) if loss is None else (loss.point, loss.direction)
     if lost.member.flutters(lost.state):
-        raise SolveError(
+        raise FlutterError(
             f"the robot begins to flutter at {100 * lost.t:.3f} % of the path: oscillations "
             "about the equilibrium grow, and their final equilibrium is unknown"
         )

@@ -487,18 +487,19 @@ def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list
                 raise InputError(f"tubes has {number}; it must be numbers of tubes, from 1 to {len(all_tubes)}")
         return list(tubes), []
     numbers: list[int] = []
-    left_out = []
+    left_out, space_curves = [], 0
     for k, tube in enumerate(all_tubes, start=1):
         first = next((j for j in numbers if all_tubes[j - 1] == tube), None)
         if tube.curved_length == 0 or tube.curvature == 0:
             left_out.append(f"tube {k} is straight and needs no mold")
         elif bend_direction(tube) is None:
+            space_curves += 1
             left_out.append(f"tube {k} is a space curve and takes a mandrel: tubeopt mold mandrel")
         elif first is not None:
             left_out.append(f"tube {k} is equal to tube {first} and is set in its groove")
         else:
             numbers.append(k)
-    if not numbers and any("space curve" in line for line in left_out):
+    if not numbers and space_curves:
         raise InputError("no tube of this robot is planar; use `tubeopt mold mandrel` for space curves")
     if not numbers:
         raise InputError("no tube of this robot is curved; none needs a mold")
