@@ -12,6 +12,7 @@ from tests.examples import THESIS, TWO_TUBE
 from tubeopt import (
     Certificate,
     DesignSolution,
+    Drives,
     Equilibrium,
     EquilibriumBatch,
     ForceEstimate,
@@ -56,6 +57,7 @@ from tubeopt.shaping.mold.mandrel import MandrelStatus
 from tubeopt.shaping.mold.mold import MoldStatus
 from tubeopt.solvers.named_program import ProblemStatus
 from tubeopt.stability.certificate import CertificateStatus
+from tubeopt.stability.drives import DrivesStatus
 from tubeopt.stability.following import PathStatus
 from tubeopt.stability.load_limit import LoadLimitStatus
 from tubeopt.stability.maps import MapStatus
@@ -70,6 +72,7 @@ from tubeopt.validation.force import ForceStatus
 ANSWERS = (
     Certificate,
     DesignSolution,
+    Drives,
     Equilibrium,
     EquilibriumBatch,
     Fit,
@@ -95,6 +98,7 @@ STATUSES = (
     BatchStatus,
     CertificateStatus,
     DesignStatus,
+    DrivesStatus,
     FitStatus,
     ForceStatus,
     HeatingStatus,

@@ -40,6 +40,7 @@ from .design import (
 )
 from .equilibrium.batch import EquilibriumBatch, forward_kinematics_batch
 from .equilibrium.clearance import ClearanceCorrection, clearance_correction
+from .equilibrium.drive_loads import DriveLoads, drive_loads
 from .equilibrium.file import load_equilibrium
 from .equilibrium.kinematics import forward_kinematics
 from .equilibrium.problem import Discretisation
@@ -113,6 +114,7 @@ from .solvers.settings import Ipopt, Newton
 from .stability import (
     Branch,
     Certificate,
+    Drives,
     EnergyMap,
     EquilibriaSearch,
     Finding,
@@ -130,6 +132,8 @@ from .stability import (
     assess_snapping,
     certify,
     deflection_bound,
+    drives_along,
+    drives_at,
     energy_map,
     find_equilibria,
     find_load_limit,
@@ -171,6 +175,8 @@ __all__ = [
     "DesignSolver",
     "DesignTask",
     "Discretisation",
+    "DriveLoads",
+    "Drives",
     "EccentricRobot",
     "EnergyMap",
     "EntryRegion",
@@ -259,6 +265,9 @@ __all__ = [
     "clearance_correction",
     "deflection_bound",
     "design_feedback",
+    "drive_loads",
+    "drives_along",
+    "drives_at",
     "energy_map",
     "estimate_force",
     "estimate_forces",

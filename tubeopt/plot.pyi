@@ -11,6 +11,7 @@ from .show.plots.design import (
     plot_stock,
     plot_tolerance,
 )
+from .show.plots.drives import plot_drives
 from .show.plots.eccentric import plot_permutations, plot_reach
 from .show.plots.heating import plot_feedback, plot_heating, plot_oven, plot_rig_fit, plot_wiring
 from .show.plots.loads import (
@@ -42,6 +43,7 @@ __all__ = [
     "plot_branch",
     "plot_checked",
     "plot_commissioning",
+    "plot_drives",
     "plot_effects",
     "plot_energy_maps",
     "plot_equilibria",

@@ -84,6 +84,13 @@ COMMANDS: dict[str, StudyCommand | str] = {
         arguments={"robot": ROBOT, "path": ("PATH.csv", PATH)},
         example="tubeopt follow thesis_ctr turn_and_back",
     ),
+    "drives": StudyCommand(
+        "drives",
+        """Size the drives: largest torque, force and power of every drive, along a motion or over the workspace.
+
+        With --along the motion has waypoints, or times too, as a plan has; then the powers are known.""",
+        example="tubeopt drives thesis_ctr --along turn_and_back --out results",
+    ),
     "load-limit": StudyCommand(
         "load_limit",
         "Find the load factor at which the robot snaps or buckles, and the equilibrium after it.",

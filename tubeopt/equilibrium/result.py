@@ -88,7 +88,7 @@ class FrictionState:
     pair: tuple[int, ...]
     """(R,) numbers of the inner tubes, from 0."""
     torque: tuple[float, ...]
-    """(R,) torques on the outer tube by the inner one, N m."""
+    """(R,) torques on the inner tube by the outer one, N m."""
     capacity: tuple[float, ...]
     """(R,) largest possible torques, N m."""
     held_margin: Annotated[float, "margin with friction; absent without friction"]

@@ -185,6 +185,7 @@ TITLES = {
     "ArmsStudy": "Study: plan several robots",
     "CertifyStudy": "Study: certify",
     "DesignStudy": "Study: design",
+    "DrivesStudy": "Study: loads of the drives",
     "EquilibriaStudy": "Study: all equilibria",
     "FabricationStudy": "Study: fabricate a robot",
     "FollowStudy": "Study: follow a joint path",

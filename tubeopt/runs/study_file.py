@@ -244,6 +244,7 @@ STUDY_KINDS = Kinds(
         "equilibria": "stability_studies.equilibria",
         "snap": "stability_studies.SnapStudy",
         "follow": "stability_studies.follow_path",
+        "drives": "drives_study.DrivesStudy",
         "load_limit": "stability_studies.LoadLimitStudy",
         "force": "validation_study.estimate_tip_forces",
         "certify": "stability_studies.CertifyStudy",

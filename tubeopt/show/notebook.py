@@ -27,6 +27,7 @@ from ..solvers.named_program import ProblemSolution
 from ..stability import (
     Branch,
     Certificate,
+    Drives,
     EnergyMap,
     LoadLimit,
     Snap,
@@ -38,6 +39,7 @@ from ..stability import (
 )
 from ..validation.force import ForceEstimate
 from ..workspaces import SnappingLoss, Workspace
+from .drives_report import DRIVES
 from .equilibrium_report import TUBE, VERIFICATION
 from .formatting import counted, degrees, millimetres
 from .heat_report import PLAN
@@ -295,6 +297,7 @@ SUMMARIES: Mapping[type, Summary] = {
     Branch: Summary(BRANCH, "maps.plot_branch"),
     Certificate: Summary(CERTIFICATE),
     DesignSolution: Summary(DESIGN, "shape.plot_shape", lambda s: next(iter(s.equilibria), None)),
+    Drives: Summary(DRIVES, "drives.plot_drives"),
     EnergyMap: Summary(ENERGY_MAP, "maps.plot_energy_maps", lambda answer: [answer]),
     EquilibriumBatch: Summary(BATCH),
     ForceEstimate: Summary(FORCE, "shape.plot_shape", lambda f: f.equilibrium),

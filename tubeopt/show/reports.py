@@ -39,6 +39,7 @@ MODULES = {
         "SegmentedEccentricRobot",
         "BundleRobot",
     ),
+    "drives_report": ("Drives",),
     "fabrication_report": (
         "Fabrication",
         "RobotMold",

@@ -3,6 +3,7 @@
 from .branch import Branch, trace_branch
 from .certificate import Certificate, certify, snap_free_certificate
 from .deflection import deflection_bound
+from .drives import Drives, drives_along, drives_at
 from .energy import EnergyMap, energy_map
 from .equilibria import EquilibriaSearch, find_equilibria
 from .following import Path, find_snap, follow
@@ -20,6 +21,7 @@ __all__ = [
     "ASSUMING",
     "Branch",
     "Certificate",
+    "Drives",
     "EccentricSnapAssessment",
     "EnergyMap",
     "EquilibriaSearch",
@@ -38,6 +40,8 @@ __all__ = [
     "assess_snapping",
     "certify",
     "deflection_bound",
+    "drives_along",
+    "drives_at",
     "energy_map",
     "find_equilibria",
     "find_load_limit",
