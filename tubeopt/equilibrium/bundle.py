@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..block.transcription.arm import ArmShape, ArmSolution, CollocationPoints, Profile
+from ..block.transcription.arm import ArmShape, ArmSolution, CollocationPoints, Errors, Profile
 from ..block.transcription.bundle import (
     CLOSING,
     HELD,
@@ -54,7 +54,7 @@ from ..solvers.newton import NewtonResult, full_steps
 from ..solvers.settings import LEAST_STIFFNESS
 from ..solvers.time_limit import check_time
 from ..typing import Array
-from .member import AnyPoint, Errors, Member, Point
+from .member import AnyPoint, Member, Point
 from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation
 from .result import Equilibrium
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import EXTRA_QUADRATURE_POINTS
+from ..block.transcription.arm import EXTRA_QUADRATURE_POINTS, Errors
 from ..block.transcription.buffered import section_function
 from ..block.transcription.bundle import VANISHING, BundleState, VanishingError, opened, place_slopes
 from ..block.transcription.contact import (
@@ -49,7 +49,7 @@ from ..typing import Array, Index
 from .bundle import Bundled
 from .continuation import steps_along
 from .kinematics import equilibrium_of
-from .member import AnyPoint, Errors, Loaded, Point, Unloaded, at_points, lever, sample_rotation
+from .member import AnyPoint, Loaded, Point, Unloaded, at_points, lever, sample_rotation
 from .problem import Discretisation, check_load, loading_of
 from .result import Equilibrium, FrictionState, Status
 

@@ -141,339 +141,11 @@ def _must_bear(by: Method, load: Load, discretisation: Discretisation) -> None:
         raise InputError("discretisation is given; under load it is chosen automatically")
 
 
-# --- From a solution to an equilibrium --------------------------------------------------------------------------------
-
-# The error of the shape is a fraction of the length of a piece of a tube, not of the arm.
-SHORT = 0.01
-"""Reference length (m) of the tip error of tubes made of pieces: 1e-10 m at the default tolerance."""
-
-TORSION_FREE = "tubes without torsion"
-"""Start of a cold solve, as `Statistics.start` names it."""
-
-FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
-
-
-def to_equilibrium(point: AnyPoint, start: str, start_time: float = 0.0) -> Equilibrium:
-    """Equilibrium of a solved point.
-
-    Args:
-        start: what it was solved from.   start_time: start of the clock, s; 0 if unknown.
-    """
-    return equilibrium_of(point.member, point.member.solution(point), start, start_time)
-
-
-def equilibrium_of(
-    member: Member[Any], result: ArmSolution, start: str, start_time: float = 0.0, method: str = "newton"
-) -> Equilibrium:
-    """Equilibrium of a problem from the solution of a solver."""
-    mesh = member.problem.mesh
-    statistics = Statistics(
-        method=method,
-        iterations=result.iterations,
-        elements=int(mesh.collocated.sum()),
-        degree=mesh.tableau.degree,
-        start=start,
-        seconds=time.perf_counter() - start_time if start_time else 0.0,
-        family=mesh.tableau.family,
-        refinement=member.discretisation.refinement,
-    )
-    translations = np.array(member.translations)
-    return build_equilibrium(member.robot, member.rotations, translations, result, statistics, load=member.load)
-
-
-def build_equilibrium(
-    robot: Robot,
-    rotations: Array,
-    translations: Array,
-    result: ArmSolution,
-    statistics: Statistics,
-    *,
-    load: Load | None = None,
-) -> Equilibrium:
-    """Equilibrium object from joint values and the solution of a solver."""
-    equilibrium = Equilibrium(
-        robot=robot,
-        rotations=rotations,
-        translations=translations,
-        arm=result.arm,
-        tip_rotations=result.tip_rotations,
-        section_start=result.section_start,
-        tube_end=result.tube_end,
-        points=result.points,
-        margin=result.margin,
-        index=result.index,
-        energy=result.energy,
-        accuracy=Accuracy(result.residual, *result.errors[:2]),
-        status=Status.STABLE if result.margin > 0 else Status.UNSTABLE,
-        statistics=statistics,
-        load=load,
-        work=result.work,
-    )
-    # The solver has these already: they need not be computed on first access.
-    if result.base_wrench is not None:
-        vars(equilibrium)["base_wrench"] = result.base_wrench
-    if result.compliance is not None:
-        vars(equilibrium)["compliance"] = result.compliance
-    return equilibrium
-
-
-def error_of(equilibrium: Equilibrium) -> float:
-    """Estimated error of an equilibrium: of theta, rad, or of the tip relative to the arm's length, the larger one."""
-    even = equilibrium.load is not None or equilibrium.robot.even
-    length = float(equilibrium.arc_length[-1])
-    return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, length, even=even))
-
-
-def largest_error(theta: Any, tip: Any, length: Any, *, even: bool = True) -> Any:
-    """Larger one of the estimated errors of theta, rad, and of the tip relative to the length of the arm.
-
-    For tubes made of pieces (not `even`), relative to at most SHORT. Arguments are numbers or arrays.
-    """
-    # Numbers are compared by Python: NumPy takes longer for one than the kernel for a piece.
-    minimum, maximum = (min, max) if isinstance(tip, float) else (np.minimum, np.maximum)
-    scale = maximum(length, 1e-300)
-    return maximum(theta, tip / (scale if even else minimum(scale, SHORT)))
-
-
-# --- From an equilibrium to its problem -------------------------------------------------------------------------------
-
-
-def point_of(
-    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
-) -> AnyPoint:
-    """Solved point of an equilibrium; arguments as of `unsolved`.
-
-    Raises:
-        InputError: an equilibrium with friction, or a load on a robot that cannot be loaded.
-        SolveError: Newton's method does not converge, as at a fold.
-    """
-    member, x = unsolved(equilibrium, load, discretisation)
-    # Where ends of tubes are about to separate, Newton's method may part them, and finds nothing close by.
-    if member.residual(member.at(x)) <= NEWTON_ROUND_OFF:
-        return Point.at(member, x)
-    return Point.solved_near(member, x, FOLDED)
-
-
-def unsolved(
-    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
-) -> tuple[Member[Any], Array]:
-    """Problem of an equilibrium, and the unknowns that solved it.
-
-    Args:
-        load: load that will grow on an unloaded equilibrium; its factor is still 0.
-        discretisation: mesh of an unloaded equilibrium, or the default. A loaded one keeps its mesh.
-    """
-    refuse_contact(equilibrium)
-    kind: type[Bundled | Unloaded | Loaded] = Unloaded if load is None and equilibrium.load is None else Loaded
-    if not equilibrium.robot.fixed_sections:
-        kind = Bundled
-    return kind.of_equilibrium(equilibrium, load, discretisation)
-
-
-def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, Profile]:
-    """Equations of the rotations of an equilibrium on its own mesh, and the torsion along its arm."""
-    point = point_of(equilibrium, discretisation=discretisation_of(equilibrium))
-    return point.member.torsion, point.torsion
-
-
-def linearised(equilibrium: Equilibrium) -> Array:
-    """(U, U) Jacobian of the equations of an unloaded equilibrium on its own mesh."""
-    refuse_load(equilibrium)
-    member, x = unsolved(equilibrium, discretisation=discretisation_of(equilibrium))
-    return np.asarray(member.at(x).hessian)
-
-
-def sure_margin(equilibrium: Equilibrium) -> float:
-    """Lower bound of the linearised equations relative to the elastic form, at most 1.
-
-    The margin, or of fixed sections under a load without an energy the smallest eigenvalue of their symmetric part.
-    Above 0 there is no other equilibrium close by.
-    """
-    if equilibrium.load is None or equilibrium.load.has_energy or not equilibrium.robot.fixed_sections:
-        return min(equilibrium.margin, 1.0)
-    member, x = unsolved(equilibrium)
-    return monotonicity(member.problem, member.at(x))
-
-
-# --- By the compiled kernels ------------------------------------------------------------------------------------------
-
-# Each function returns None, or stops, where a kernel declines: there is none for the robot, no stable equilibrium is
-# close by, or no mesh is fine enough. The general solver then continues.
-
-# Close to a fold the general solver predicts the branch, where the kernel only halves its steps: seven halvings cost
-# less than one step of the general solver; more would be spent on a branch that ends.
-SHORTEST_COMPILED = 1 / 128
-"""Fraction of the longest step along a path below which the general solver takes over from the compiled kernel."""
-
-
-# A translation is compared with the length of the arm. Without this lower bound an arm of length zero, as at full
-# retraction, could not move at all.
-SHORT_ARM = 0.1
-"""Smallest length of an arm, over the longest tube's, for which tubes couple noticeably."""
-
-
-@lru_cache(maxsize=64)
-def reference_length(equilibrium: Equilibrium) -> float:
-    """Length (m) of the arm as a scale for translations; at least SHORT_ARM of the longest tube."""
-    return max(float(equilibrium.arc_length[-1]), SHORT_ARM * max(tube.length for tube in equilibrium.robot.tubes))
-
-
-def small_motion(start: Equilibrium, rotations: Array, translations: Array) -> bool:
-    """True for motions from `start` after which Newton's method stays on the branch."""
-    changes = rotations - start.rotations, translations - start.translations
-    largest_turn, largest_shift = (max(map(abs, change.tolist())) for change in changes)
-    return bool(largest_turn <= LARGEST_TURN and largest_shift <= LARGEST_SHIFT * reference_length(start))
-
-
-def unloaded(
-    robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, request: SolveRequest
-) -> Equilibrium | None:
-    """Stable equilibrium without a load, from tubes without torsion or by a small motion from a guess.
-
-    It is solved on the default mesh or, where that is too coarse, with elements half as long.
-    """
-    max_change, refinements = LARGEST_TWIST, [0, 1]
-    if guess is not None:
-        if guess.margin <= 0 or not small_motion(guess, rotations, translations):
-            return None
-        max_change = largest_twist(guess.margin)
-        if not robot.fixed_sections:
-            refinements = [guess.statistics.refinement]  # a bundle keeps the mesh of its start
-    # Finer meshes are left to the general solver: the kernel has static memory for the elements of these two.
-    for refinement in refinements:
-        solved = _by_kernel(robot, rotations, translations, guess, refinement)
-        if solved is None or solved.largest_change > max_change:
-            return None
-        # A Newton iteration that contracts slowly may have converged to another branch.
-        if guess is not None and solved.contraction > LARGEST_RATIO:
-            return None
-        result = solved.solution
-        length = float(result.arm.arc_length[-1])
-        if largest_error(*result.errors[:2], length, even=robot.even) > request.tolerance:
-            continue
-        statistics = Statistics(
-            method="newton",
-            iterations=result.iterations,
-            elements=solved.elements,
-            degree=DEFAULT_DISCRETISATION.degree,
-            start=TORSION_FREE if guess is None else "guess",
-            seconds=time.perf_counter() - request.start_time - solved.loading,
-            refinement=refinement,
-            loading=solved.loading,
-        )
-        return build_equilibrium(robot, rotations, translations, result, statistics)
-    return None
-
-
-def _by_kernel(
-    robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, refinement: int
-) -> Solved | None:
-    """Solution of the compiled kernel of a robot; None where there is none."""
-    if isinstance(robot, BundleRobot):
-        return solved_by_kernel(robot, rotations, translations, guess, refinement)
-    if guess is None:
-        return solve_compiled(robot, rotations, translations, None, refinement)
-    arm, points = guess.arm, guess.points
-    sampled = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
-    start = Start(*sampled, rotations - guess.rotations, guess.translations)
-    return solve_compiled(robot, rotations, translations, start, refinement)
-
-
-LOADED_MESHES = tuple(replace(LOADED_DISCRETISATION, refinement=k) for k in range(LOADED_REFINEMENTS + 1))
-"""Meshes under a load, from coarse to fine."""
-
-
-def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilibrium | None:
-    """Stable equilibrium under a dead load, grown from an unloaded `start` or by a small change of a loaded one."""
-    robot, rotations, shift, load = member.robot, member.rotations, member.translations, member.load
-    if not (load.has_energy and start.margin > 0):
-        return None
-    problem, turn = member.problem, rotations - start.rotations
-    if start.load is None:
-        how, close = "the load before, from none", not turn.any() and np.array_equal(start.translations, shift)
-    else:
-        how, close = "guess", small_motion(start, rotations, np.array(shift))
-    if not close:
-        return None
-    inputs = at_points(start, problem)
-    margin = start.margin
-    solution: ArmSolution | None = None
-    for refinement in range(LOADED_REFINEMENTS + 1):
-        rules = loaded_rules(robot, shift, load, refinement)
-        if solution is not None:
-            # Start from the coarse solution; its polynomials are those of the elastic rotation, without natural twist.
-            coarse = [solution.points.point_rotation - problem.twist_angle, solution.points.point_curvature]
-            table = problem.mesh.interpolated(np.concatenate(coarse, axis=1), rules.problem.torsion.arc_length)
-            inputs, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, solution.margin
-        problem, solution = rules.problem, solve_loaded_compiled(rules, (rotations, turn), inputs, margin)
-        if solution is None:
-            return None
-        theta_error, tip_error, margin_error = solution.errors
-        error = float(largest_error(theta_error, tip_error, problem.torsion.assembly.total_length))
-        if margin_error <= request.method.newton.margin_tolerance and error <= request.tolerance:
-            solved = Loaded(robot, problem, rotations, shift, LOADED_MESHES[refinement])
-            return equilibrium_of(solved, solution, how, request.start_time)
-    return None
-
-
-def followed_by_kernel(family: Family) -> bool:
-    """True if a compiled kernel may follow a family; it minimises an energy, and that of bundles without a load."""
-    robot, loads = family.path.robot, [load for load in family.loads if load is not None]
-    if isinstance(robot, BundleRobot):
-        return not loads and has_kernel(robot)
-    return has_kernel(robot) and all(load.has_energy for load in loads)
-
-
-def has_kernel(robot: Robot) -> bool:
-    """True if a compiled kernel solves a robot; bundles whose sheath has a rigid tip have none."""
-    if isinstance(robot, BundleRobot):
-        small, flexible = robot.n_tubes <= MOST_TUBES, robot.sheath_rigid_from is None
-        return small and flexible and bundle_kernel(robot.n_tubes) is not None
-    return kernel_of(robot) is not None
-
-
-def nearby(family: Family, guess: Equilibrium, t: float, request: SolveRequest) -> Equilibrium | None:
-    """Stable equilibrium at t of a family, a small change from `guess` on its branch; None close to a fold, too."""
-    if family.load is not None:
-        return loaded(guess, family.under_load(t), request)
-    rotations, translations = family.path.at(t)
-    result = unloaded(family.path.robot, rotations, translations, guess, request)
-    return result if result is not None and result.margin > 0 else None
-
-
-def along(family: Family, start: Milestone, request: SolveRequest | None = None) -> Iterator[Milestone]:
-    """Stable equilibria after `start`, up to t = 1 or to the point where the kernel declines even short steps."""
-    request = request or SolveRequest()
-    longest = family.path.largest_step()
-    if longest < 1.0:
-        longest *= 1 - 1e-9  # round-off may make a step longer than the kernel accepts
-    last, step = start, longest
-    if family.load is not None and start.pose.load is None and family.path.moves:
-        # Where joints move as well, the kernel continues from an equilibrium under a load, here of size 0.
-        first = nearby(family, start.pose, start.t, request)
-        if first is None:
-            return
-        last = Milestone(start.t, first)
-    while last.t < 1.0:
-        t = 1.0 if last.t + step >= 1 - 1e-12 else last.t + step
-        pose = nearby(family, last.pose, t, request)
-        if pose is not None:
-            last, step = Milestone(t, pose), min(2 * step, longest)
-            yield last
-            continue
-        step /= 2
-        if step < longest * SHORTEST_COMPILED:
-            return
-
-
 # --- Forward kinematics -----------------------------------------------------------------------------------------------
 
 # Most equilibria take a few milliseconds, under a load a tenth of a second.
 KINEMATICS_LIMIT = 60.0
 """Default time limit for one equilibrium, s."""
-
-Along = Callable[[Array], Array]
-"""Function of arc lengths (N,), m."""
 
 
 @renamed(guess="start")
@@ -573,6 +245,24 @@ def forward_kinematics(  # noqa: PLR0913
     return result.verified() if verify else result
 
 
+@lru_cache(maxsize=256)
+def _check_carriages(robot: Robot, translations: tuple[float, ...]) -> None:
+    """Raise InputError for translations that carriages do not allow, which the kernel does not check."""
+    robot.admit(np.array(translations))
+
+
+def _start_of(robot: Robot, start: Any, tolerance: float) -> Equilibrium:
+    """Equilibrium of the argument `start`: itself, its `equilibrium`, or that of its joint values."""
+    known = start if isinstance(start, Equilibrium) else getattr(start, "equilibrium", None)
+    if isinstance(known, Equilibrium):
+        if known.robot.n_tubes != robot.n_tubes:
+            raise InputError(f"start is of a robot with {known.robot.n_tubes} tubes; it must have {robot.n_tubes}")
+        return known
+    if not isinstance(start, tuple | list) or len(start) != 2:
+        raise InputError(f"start is {reprlib.repr(start)}; it must be an Equilibrium or (rotations, translations)")
+    return forward_kinematics(robot, *start, tolerance=tolerance)
+
+
 def _from_scratch(
     robot: Robot, rotations: Array, translations: Array, discretisation: Discretisation, request: SolveRequest
 ) -> Equilibrium:
@@ -611,62 +301,97 @@ def _from_start(
     return on_branch(Family(path, load, guess.load), guess, request)
 
 
-@lru_cache(maxsize=256)
-def _check_carriages(robot: Robot, translations: tuple[float, ...]) -> None:
-    """Raise InputError for translations that carriages do not allow, which the kernel does not check."""
-    robot.admit(np.array(translations))
+# --- By the compiled kernel, without a load ---------------------------------------------------------------------------
+
+# Each function returns None, or stops, where a kernel declines: there is none for the robot, no stable equilibrium is
+# close by, or no mesh is fine enough. The general solver then continues.
+
+TORSION_FREE = "tubes without torsion"
+"""Start of a cold solve, as `Statistics.start` names it."""
 
 
-def _start_of(robot: Robot, start: Any, tolerance: float) -> Equilibrium:
-    """Equilibrium of the argument `start`: itself, its `equilibrium`, or that of its joint values."""
-    known = start if isinstance(start, Equilibrium) else getattr(start, "equilibrium", None)
-    if isinstance(known, Equilibrium):
-        if known.robot.n_tubes != robot.n_tubes:
-            raise InputError(f"start is of a robot with {known.robot.n_tubes} tubes; it must have {robot.n_tubes}")
-        return known
-    if not isinstance(start, tuple | list) or len(start) != 2:
-        raise InputError(f"start is {reprlib.repr(start)}; it must be an Equilibrium or (rotations, translations)")
-    return forward_kinematics(robot, *start, tolerance=tolerance)
+# A translation is compared with the length of the arm. Without this lower bound an arm of length zero, as at full
+# retraction, could not move at all.
+SHORT_ARM = 0.1
+"""Smallest length of an arm, over the longest tube's, for which tubes couple noticeably."""
 
 
-def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
-    """Equilibrium at the same joint values on the same branch after the load grew, or changed into another one.
+def unloaded(
+    robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, request: SolveRequest
+) -> Equilibrium | None:
+    """Stable equilibrium without a load, from tubes without torsion or by a small motion from a guess.
 
-    Raises:
-        SolveError: the branch ends before the full load.
+    It is solved on the default mesh or, where that is too coarse, with elements half as long.
     """
-    robot, joints = equilibrium.robot, (equilibrium.rotations, equilibrium.translations)
-    return forward_kinematics(robot, *joints, load=load, start=equilibrium)
+    max_change, refinements = LARGEST_TWIST, [0, 1]
+    if guess is not None:
+        if guess.margin <= 0 or not small_motion(guess, rotations, translations):
+            return None
+        max_change = largest_twist(guess.margin)
+        if not robot.fixed_sections:
+            refinements = [guess.statistics.refinement]  # a bundle keeps the mesh of its start
+    # Finer meshes are left to the general solver: the kernel has static memory for the elements of these two.
+    for refinement in refinements:
+        solved = _by_kernel(robot, rotations, translations, guess, refinement)
+        if solved is None or solved.largest_change > max_change:
+            return None
+        # A Newton iteration that contracts slowly may have converged to another branch.
+        if guess is not None and solved.contraction > LARGEST_RATIO:
+            return None
+        result = solved.solution
+        length = float(result.arm.arc_length[-1])
+        if largest_error(result.errors.theta, result.errors.tip, length, even=robot.even) > request.tolerance:
+            continue
+        statistics = Statistics(
+            method="newton",
+            iterations=result.iterations,
+            elements=solved.elements,
+            degree=DEFAULT_DISCRETISATION.degree,
+            start=TORSION_FREE if guess is None else "guess",
+            seconds=time.perf_counter() - request.start_time - solved.loading,
+            refinement=refinement,
+            loading=solved.loading,
+        )
+        return build_equilibrium(robot, rotations, translations, result, statistics)
+    return None
 
 
-@small
-def _to_tolerance(point: AnyPoint, start: str, request: SolveRequest) -> Equilibrium:
-    """Equilibrium of a solved point on the first mesh with an estimated error within the tolerance.
+def _by_kernel(
+    robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, refinement: int
+) -> Solved | None:
+    """Solution of the compiled kernel of a robot; None where there is none."""
+    if isinstance(robot, BundleRobot):
+        return solved_by_kernel(robot, rotations, translations, guess, refinement)
+    if guess is None:
+        return solve_compiled(robot, rotations, translations, None, refinement)
+    arm, points = guess.arm, guess.points
+    sampled = arm.arc_length, arm.rotation, arm.torsion, points.point, points.point_rotation
+    start = Start(*sampled, rotations - guess.rotations, guess.translations)
+    return solve_compiled(robot, rotations, translations, start, refinement)
 
-    Args:
-        start: what the point was solved from, for the statistics.
 
-    Raises:
-        SolveError: none is fine enough; `.solution` is the equilibrium on the last mesh.
-    """
-    solver, first, error_before = request.method, point.member.discretisation.refinement, np.inf
-    finest = max(REFINEMENTS if point.member.load is None else LOADED_REFINEMENTS, first)
-    for level in range(first, finest + 1):
-        solution = point.member.solution(point)
-        result = equilibrium_of(point.member, solution, start, request.start_time, solver.name)
-        error = error_of(result)
-        if error <= request.tolerance and (level == finest or solution.errors[2] <= solver.newton.margin_tolerance):
-            return result
-        # Halved elements lower the error by orders of magnitude; a factor below two is no error of the mesh.
-        if error > request.tolerance and (level == finest or error > error_before / 2):
-            why = "" if level == finest else "; finer elements no longer help"
-            wrong = f"the estimated error is {error:.1e} rad, wanted was {request.tolerance:.1e} rad"
-            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", result)
-        finer, error_before = point.member.on(refinement=level + 1), error
-        failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
-        point = point.onto(finer, failure, solver.newton.iterations)
-        point = _by_method(point, solver)
-    raise AssertionError("the finest mesh neither reached the tolerance nor raised an error")
+def small_motion(start: Equilibrium, rotations: Array, translations: Array) -> bool:
+    """True for motions from `start` after which Newton's method stays on the branch."""
+    changes = rotations - start.rotations, translations - start.translations
+    largest_turn, largest_shift = (max(map(abs, change.tolist())) for change in changes)
+    return bool(largest_turn <= LARGEST_TURN and largest_shift <= LARGEST_SHIFT * reference_length(start))
+
+
+@lru_cache(maxsize=64)
+def reference_length(equilibrium: Equilibrium) -> float:
+    """Length (m) of the arm as a scale for translations; at least SHORT_ARM of the longest tube."""
+    return max(float(equilibrium.arc_length[-1]), SHORT_ARM * max(tube.length for tube in equilibrium.robot.tubes))
+
+
+def has_kernel(robot: Robot) -> bool:
+    """True if a compiled kernel solves a robot; bundles whose sheath has a rigid tip have none."""
+    if isinstance(robot, BundleRobot):
+        small, flexible = robot.n_tubes <= MOST_TUBES, robot.sheath_rigid_from is None
+        return small and flexible and bundle_kernel(robot.n_tubes) is not None
+    return kernel_of(robot) is not None
+
+
+# --- By the general solver --------------------------------------------------------------------------------------------
 
 
 @small
@@ -716,27 +441,135 @@ def _solve(member: Member[Any], x: Array, solver: Method) -> AnyPoint:
     return Point.of(member, result)
 
 
-def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
-    """Equilibrium after a small motion from `guess`, by a single solve.
+@small
+def _to_tolerance(point: AnyPoint, start: str, request: SolveRequest) -> Equilibrium:
+    """Equilibrium of a solved point on the first mesh with an estimated error within the tolerance.
 
-    None if Newton's method converges slowly, which may mean another branch, or where the motion is not small.
+    Args:
+        start: what the point was solved from, for the statistics.
+
+    Raises:
+        SolveError: none is fine enough; `.solution` is the equilibrium on the last mesh.
     """
-    request = SolveRequest()
-    quick = unloaded(robot, rotations, np.array(translations), guess, request)
-    if quick is not None:
-        return quick
-    if not small_motion(guess, rotations, np.array(translations)):
-        return None
-    joints = np.concatenate([guess.rotations, guess.translations])
-    family = Family(SampledJointPath(robot, joints, np.concatenate([rotations, translations])))
-    # `step_to` refuses a solution far from the guess: Newton's method may have jumped past a fold.
-    point = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
-    if point is None:
-        return None
-    result = to_equilibrium(point, "guess", request.start_time)
-    if error_of(result) <= request.tolerance:
-        return result
-    return forward_kinematics(robot, rotations, translations, start=result)
+    solver, first, error_before = request.method, point.member.discretisation.refinement, np.inf
+    finest = max(REFINEMENTS if point.member.load is None else LOADED_REFINEMENTS, first)
+    for level in range(first, finest + 1):
+        solution = point.member.solution(point)
+        result = equilibrium_of(point.member, solution, start, request.start_time, solver.name)
+        error = error_of(result)
+        if error <= request.tolerance and (level == finest or solution.errors.margin <= solver.newton.margin_tolerance):
+            return result
+        # Halved elements lower the error by orders of magnitude; a factor below two is no error of the mesh.
+        if error > request.tolerance and (level == finest or error > error_before / 2):
+            why = "" if level == finest else "; finer elements no longer help"
+            wrong = f"the estimated error is {error:.1e} rad, wanted was {request.tolerance:.1e} rad"
+            raise SolveError(f"{Status.MESH_TOO_COARSE}: {wrong}{why}", result)
+        finer, error_before = point.member.on(refinement=level + 1), error
+        failure = f"{Status.NOT_CONVERGED} on a finer mesh: the solution on the coarse mesh is not one"
+        point = point.onto(finer, failure, solver.newton.iterations)
+        point = _by_method(point, solver)
+    raise AssertionError("the finest mesh neither reached the tolerance nor raised an error")
+
+
+# --- From a solution to an equilibrium --------------------------------------------------------------------------------
+
+# The error of the shape is a fraction of the length of a piece of a tube, not of the arm.
+SHORT = 0.01
+"""Reference length (m) of the tip error of tubes made of pieces: 1e-10 m at the default tolerance."""
+
+
+def to_equilibrium(point: AnyPoint, start: str, start_time: float = 0.0) -> Equilibrium:
+    """Equilibrium of a solved point.
+
+    Args:
+        start: what it was solved from.   start_time: start of the clock, s; 0 if unknown.
+    """
+    return equilibrium_of(point.member, point.member.solution(point), start, start_time)
+
+
+def equilibrium_of(
+    member: Member[Any], result: ArmSolution, start: str, start_time: float = 0.0, method: str = "newton"
+) -> Equilibrium:
+    """Equilibrium of a problem from the solution of a solver."""
+    mesh = member.problem.mesh
+    statistics = Statistics(
+        method=method,
+        iterations=result.iterations,
+        elements=int(mesh.collocated.sum()),
+        degree=mesh.tableau.degree,
+        start=start,
+        seconds=time.perf_counter() - start_time if start_time else 0.0,
+        family=mesh.tableau.family,
+        refinement=member.discretisation.refinement,
+    )
+    translations = np.array(member.translations)
+    return build_equilibrium(member.robot, member.rotations, translations, result, statistics, load=member.load)
+
+
+def build_equilibrium(
+    robot: Robot,
+    rotations: Array,
+    translations: Array,
+    result: ArmSolution,
+    statistics: Statistics,
+    *,
+    load: Load | None = None,
+) -> Equilibrium:
+    """Equilibrium object from joint values and the solution of a solver."""
+    equilibrium = Equilibrium(
+        robot=robot,
+        rotations=rotations,
+        translations=translations,
+        arm=result.arm,
+        tip_rotations=result.tip_rotations,
+        section_start=result.section_start,
+        tube_end=result.tube_end,
+        points=result.points,
+        margin=result.margin,
+        index=result.index,
+        energy=result.energy,
+        accuracy=Accuracy(result.residual, result.errors.theta, result.errors.tip),
+        status=Status.STABLE if result.margin > 0 else Status.UNSTABLE,
+        statistics=statistics,
+        load=load,
+        work=result.work,
+    )
+    # The solver has these already: they need not be computed on first access.
+    if result.base_wrench is not None:
+        vars(equilibrium)["base_wrench"] = result.base_wrench
+    if result.compliance is not None:
+        vars(equilibrium)["compliance"] = result.compliance
+    return equilibrium
+
+
+def error_of(equilibrium: Equilibrium) -> float:
+    """Estimated error of an equilibrium: of theta, rad, or of the tip relative to the arm's length, the larger one."""
+    even = equilibrium.load is not None or equilibrium.robot.even
+    length = float(equilibrium.arc_length[-1])
+    return float(largest_error(equilibrium.mesh_error, equilibrium.tip_error, length, even=even))
+
+
+def largest_error(theta: Any, tip: Any, length: Any, *, even: bool = True) -> Any:
+    """Larger one of the estimated errors of theta, rad, and of the tip relative to the length of the arm.
+
+    For tubes made of pieces (not `even`), relative to at most SHORT. Arguments are numbers or arrays.
+    """
+    # Numbers are compared by Python: NumPy takes longer for one than the kernel for a piece.
+    minimum, maximum = (min, max) if isinstance(tip, float) else (np.minimum, np.maximum)
+    scale = maximum(length, 1e-300)
+    return maximum(theta, tip / (scale if even else minimum(scale, SHORT)))
+
+
+# --- On the branch of a start, or as a load grows ---------------------------------------------------------------------
+
+# Close to a fold the general solver predicts the branch, where the kernel only halves its steps: seven halvings cost
+# less than one step of the general solver; more would be spent on a branch that ends.
+SHORTEST_COMPILED = 1 / 128
+"""Fraction of the longest step along a path below which the general solver takes over from the compiled kernel."""
+
+
+LOADED_MESHES = tuple(replace(LOADED_DISCRETISATION, refinement=k) for k in range(LOADED_REFINEMENTS + 1))
+"""Meshes under a load, from coarse to fine."""
 
 
 def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equilibrium:
@@ -754,6 +587,81 @@ def on_branch(family: Family, guess: Equilibrium, request: SolveRequest) -> Equi
         else:
             last = [last, *along(family, last, request)][-1]
     return last.pose if last.t == 1.0 else _continued(family, last, load_grows, request)
+
+
+def followed_by_kernel(family: Family) -> bool:
+    """True if a compiled kernel may follow a family; it minimises an energy, and that of bundles without a load."""
+    robot, loads = family.path.robot, [load for load in family.loads if load is not None]
+    if isinstance(robot, BundleRobot):
+        return not loads and has_kernel(robot)
+    return has_kernel(robot) and all(load.has_energy for load in loads)
+
+
+def along(family: Family, start: Milestone, request: SolveRequest | None = None) -> Iterator[Milestone]:
+    """Stable equilibria after `start`, up to t = 1 or to the point where the kernel declines even short steps."""
+    request = request or SolveRequest()
+    longest = family.path.largest_step()
+    if longest < 1.0:
+        longest *= 1 - 1e-9  # round-off may make a step longer than the kernel accepts
+    last, step = start, longest
+    if family.load is not None and start.pose.load is None and family.path.moves:
+        # Where joints move as well, the kernel continues from an equilibrium under a load, here of size 0.
+        first = nearby(family, start.pose, start.t, request)
+        if first is None:
+            return
+        last = Milestone(start.t, first)
+    while last.t < 1.0:
+        t = 1.0 if last.t + step >= 1 - 1e-12 else last.t + step
+        pose = nearby(family, last.pose, t, request)
+        if pose is not None:
+            last, step = Milestone(t, pose), min(2 * step, longest)
+            yield last
+            continue
+        step /= 2
+        if step < longest * SHORTEST_COMPILED:
+            return
+
+
+def nearby(family: Family, guess: Equilibrium, t: float, request: SolveRequest) -> Equilibrium | None:
+    """Stable equilibrium at t of a family, a small change from `guess` on its branch; None close to a fold, too."""
+    if family.load is not None:
+        return loaded(guess, family.under_load(t), request)
+    rotations, translations = family.path.at(t)
+    result = unloaded(family.path.robot, rotations, translations, guess, request)
+    return result if result is not None and result.margin > 0 else None
+
+
+def loaded(start: Equilibrium, member: Loaded, request: SolveRequest) -> Equilibrium | None:
+    """Stable equilibrium under a dead load, grown from an unloaded `start` or by a small change of a loaded one."""
+    robot, rotations, shift, load = member.robot, member.rotations, member.translations, member.load
+    if not (load.has_energy and start.margin > 0):
+        return None
+    problem, turn = member.problem, rotations - start.rotations
+    if start.load is None:
+        how, close = "the load before, from none", not turn.any() and np.array_equal(start.translations, shift)
+    else:
+        how, close = "guess", small_motion(start, rotations, np.array(shift))
+    if not close:
+        return None
+    inputs = at_points(start, problem)
+    margin = start.margin
+    solution: ArmSolution | None = None
+    for refinement in range(LOADED_REFINEMENTS + 1):
+        rules = loaded_rules(robot, shift, load, refinement)
+        if solution is not None:
+            # Start from the coarse solution; its polynomials are those of the elastic rotation, without natural twist.
+            coarse = [solution.points.point_rotation - problem.twist_angle, solution.points.point_curvature]
+            table = problem.mesh.interpolated(np.concatenate(coarse, axis=1), rules.problem.torsion.arc_length)
+            inputs, turn, margin = (table[:, : len(turn)], table[:, len(turn) :]), 0 * turn, solution.margin
+        problem, solution = rules.problem, solve_loaded_compiled(rules, (rotations, turn), inputs, margin)
+        if solution is None:
+            return None
+        errors, length = solution.errors, problem.torsion.assembly.total_length
+        error = float(largest_error(errors.theta, errors.tip, length))
+        if errors.margin <= request.method.newton.margin_tolerance and error <= request.tolerance:
+            solved = Loaded(robot, problem, rotations, shift, LOADED_MESHES[refinement])
+            return equilibrium_of(solved, solution, how, request.start_time)
+    return None
 
 
 @small
@@ -790,6 +698,43 @@ def _start(family: Family, milestone: Milestone) -> AnyPoint:
     return Point(milestone.t, member, member.at(x), pose.margin)
 
 
+def one_step(robot: Robot, guess: Equilibrium, rotations: Array, translations: tuple[float, ...]) -> Equilibrium | None:
+    """Equilibrium after a small motion from `guess`, by a single solve.
+
+    None if Newton's method converges slowly, which may mean another branch, or where the motion is not small.
+    """
+    request = SolveRequest()
+    quick = unloaded(robot, rotations, np.array(translations), guess, request)
+    if quick is not None:
+        return quick
+    if not small_motion(guess, rotations, np.array(translations)):
+        return None
+    joints = np.concatenate([guess.rotations, guess.translations])
+    family = Family(SampledJointPath(robot, joints, np.concatenate([rotations, translations])))
+    # `step_to` refuses a solution far from the guess: Newton's method may have jumped past a fold.
+    point = step_to(family, 1.0, _start(family, Milestone(0.0, guess)))
+    if point is None:
+        return None
+    result = to_equilibrium(point, "guess", request.start_time)
+    if error_of(result) <= request.tolerance:
+        return result
+    return forward_kinematics(robot, rotations, translations, start=result)
+
+
+def under_load(equilibrium: Equilibrium, load: Load | None) -> Equilibrium:
+    """Equilibrium at the same joint values on the same branch after the load grew, or changed into another one.
+
+    Raises:
+        SolveError: the branch ends before the full load.
+    """
+    robot, joints = equilibrium.robot, (equilibrium.rotations, equilibrium.translations)
+    return forward_kinematics(robot, *joints, load=load, start=equilibrium)
+
+
+Along = Callable[[Array], Array]
+"""Function of arc lengths (N,), m."""
+
+
 def equilibrium_at(
     robot: Robot,
     rotations: Array,
@@ -817,3 +762,65 @@ def equilibrium_at(
     curvature = None if load is None or curvature_at is None else curvature_at(s).T
     point = Point.solved_near(member, member.unknowns(theta, curvature), FOLDED)
     return _to_tolerance(point, "a program", SolveRequest(start_time=start_time))
+
+
+# --- From an equilibrium to its problem -------------------------------------------------------------------------------
+
+FOLDED = "the equilibrium is a fold (margin 0): it has no solution close by that Newton can find"
+
+
+def point_of(
+    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
+) -> AnyPoint:
+    """Solved point of an equilibrium; arguments as of `unsolved`.
+
+    Raises:
+        InputError: an equilibrium with friction, or a load on a robot that cannot be loaded.
+        SolveError: Newton's method does not converge, as at a fold.
+    """
+    member, x = unsolved(equilibrium, load, discretisation)
+    # Where ends of tubes are about to separate, Newton's method may part them, and finds nothing close by.
+    if member.residual(member.at(x)) <= NEWTON_ROUND_OFF:
+        return Point.at(member, x)
+    return Point.solved_near(member, x, FOLDED)
+
+
+def unsolved(
+    equilibrium: Equilibrium, load: Load | None = None, discretisation: Discretisation | None = None
+) -> tuple[Member[Any], Array]:
+    """Problem of an equilibrium, and the unknowns that solved it.
+
+    Args:
+        load: load that will grow on an unloaded equilibrium; its factor is still 0.
+        discretisation: mesh of an unloaded equilibrium, or the default. A loaded one keeps its mesh.
+    """
+    refuse_contact(equilibrium)
+    kind: type[Bundled | Unloaded | Loaded] = Unloaded if load is None and equilibrium.load is None else Loaded
+    if not equilibrium.robot.fixed_sections:
+        kind = Bundled
+    return kind.of_equilibrium(equilibrium, load, discretisation)
+
+
+def collocated(equilibrium: Equilibrium) -> tuple[ReducedProblem, Profile]:
+    """Equations of the rotations of an equilibrium on its own mesh, and the torsion along its arm."""
+    point = point_of(equilibrium, discretisation=discretisation_of(equilibrium))
+    return point.member.torsion, point.torsion
+
+
+def linearised(equilibrium: Equilibrium) -> Array:
+    """(U, U) Jacobian of the equations of an unloaded equilibrium on its own mesh."""
+    refuse_load(equilibrium)
+    member, x = unsolved(equilibrium, discretisation=discretisation_of(equilibrium))
+    return np.asarray(member.at(x).hessian)
+
+
+def sure_margin(equilibrium: Equilibrium) -> float:
+    """Lower bound of the linearised equations relative to the elastic form, at most 1.
+
+    The margin, or of fixed sections under a load without an energy the smallest eigenvalue of their symmetric part.
+    Above 0 there is no other equilibrium close by.
+    """
+    if equilibrium.load is None or equilibrium.load.has_energy or not equilibrium.robot.fixed_sections:
+        return min(equilibrium.margin, 1.0)
+    member, x = unsolved(equilibrium)
+    return monotonicity(member.problem, member.at(x))

@@ -18,7 +18,7 @@ import scipy
 
 from ..block.transcription import arm as arms
 from ..block.transcription import loaded
-from ..block.transcription.arm import ArmSolution, CollocationPoints, Profile, between, cubic, evaluate_arm
+from ..block.transcription.arm import ArmSolution, CollocationPoints, Errors, Profile, between, cubic, evaluate_arm
 from ..block.transcription.bundle import BundleState
 from ..block.transcription.collocated import SHAPE_STEPS, THROUGH_ENDS
 from ..block.transcription.loaded import (
@@ -70,16 +70,6 @@ from .result import Equilibrium
 # in any step; a step of at most a sixteenth of a turn keeps them in the basin of the nearest minimum.
 HOME_TURN = math.pi / 8
 """Largest rotation (rad) of a tube per step of the path from home."""
-
-
-class Errors(NamedTuple):
-    """Estimated discretisation errors of a solved point."""
-
-    theta: float
-    """Largest error of a rotation, rad."""
-    tip: float
-    """Error of the tip position, m."""
-    margin: float
 
 
 S = TypeVar("S", Evaluation, LoadedState, BundleState)

@@ -205,6 +205,16 @@ class CollocationPoints:
     """Curvature (N, 2) under load, 1/m; empty without a load."""
 
 
+class Errors(NamedTuple):
+    """Estimated discretisation errors of a solved point."""
+
+    theta: float
+    """Largest error of a rotation, rad."""
+    tip: float
+    """Error of the tip position, m."""
+    margin: float
+
+
 @dataclass(eq=False, slots=True)
 class ArmSolution:
     """Result of a solver; not frozen, since one is created in every solve."""
@@ -222,8 +232,7 @@ class ArmSolution:
     """Elastic energy, J."""
     residual: float
     """Largest violation of the equations, rad."""
-    errors: tuple[float, float, float]
-    """Estimated errors of theta (rad), of the tip (m) and of the margin."""
+    errors: Errors
     iterations: int
     index: int = 0
     """Number of unstable directions."""

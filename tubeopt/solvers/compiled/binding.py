@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmSolution, CollocationPoints
+from ...block.transcription.arm import ArmSolution, CollocationPoints, Errors
 from ...block.transcription.collocated import SHAPE_STEPS
 from ...robots.assembly import LENGTH_ROUND_OFF
 from ...robots.lengthwise import Lengthwise, lengthwise
@@ -310,7 +310,7 @@ def _solution(answer: dict[str, Any]) -> ArmSolution:
         margin=answer["margin"],
         energy=answer["energy"],
         residual=answer["residual"],
-        errors=(answer["mesh_error"], answer["tip_error"], 0.0),
+        errors=Errors(answer["mesh_error"], answer["tip_error"], 0.0),
         iterations=answer["iterations"],
     )
 

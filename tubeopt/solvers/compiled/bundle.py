@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from ...block.transcription.arm import ArmSolution, CollocationPoints, gauss_fractions
+from ...block.transcription.arm import ArmSolution, CollocationPoints, Errors, gauss_fractions
 from ...block.transcription.bundle import (
     CLOSING,
     ELEMENT,
@@ -203,7 +203,7 @@ def solve_bundle_compiled(
         margin=answer["margin"],
         energy=answer["energy"],
         residual=answer["residual"],
-        errors=(answer["theta_error"], answer["tip_error"], 0.0),
+        errors=Errors(answer["theta_error"], answer["tip_error"], 0.0),
         iterations=answer["iterations"],
         base_wrench=np.zeros(6),
     )

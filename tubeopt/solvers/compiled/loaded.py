@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from ...block.transcription.arm import ArmSolution, CollocationPoints
+from ...block.transcription.arm import ArmSolution, CollocationPoints, Errors
 from ...block.transcription.collocated import ENDS, SHAPE_STEPS
 from ...block.transcription.loaded import LoadedProblem
 from ...block.transcription.mesh import sections_at
@@ -279,7 +279,7 @@ def _solution(answer: dict[str, Any], problem: LoadedProblem) -> ArmSolution:
         margin=answer["margin"],
         energy=answer["energy"],
         residual=answer["residual"],
-        errors=(answer["theta_error"], answer["tip_error"], answer["margin_error"]),
+        errors=Errors(answer["theta_error"], answer["tip_error"], answer["margin_error"]),
         iterations=answer["iterations"],
         work=answer["work"],
         compliance=answer["compliance"].copy(),
