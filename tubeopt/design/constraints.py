@@ -116,43 +116,53 @@ def _stated(requirement: Requirement, robot: Robot, poses: Poses, points: Points
             limit = Limit(
                 requirement.description,
                 float(requirement.limit),
-                bool(requirement.is_upper_bound),
-                requirement.unit,
-                requirement.factor,
-                requirement.size,
-                movable,
+                is_upper_bound=bool(requirement.is_upper_bound),
+                unit=requirement.unit,
+                factor=requirement.factor,
+                size=requirement.size,
+                movable=movable,
             )
             yield limit, requirement.expression, None
         case SnapFree(required_margin=lower):
-            limit = Limit("certified margin", lower, False, "", 1.0, 0.1)
+            limit = Limit("certified margin", lower, is_upper_bound=False, unit="", factor=1.0, size=0.1)
             yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - lower, None
             if isinstance(robot, BundleRobot) and robot.n_tubes > 1:
                 # Their ends must keep their order, or the number proves nothing.
-                limit = Limit("reserve of the order of the ends", ORDER_RESERVE, False, "mm", 1e3, 1e-3, movable=False)
+                limit = Limit(
+                    "reserve of the order of the ends",
+                    ORDER_RESERVE,
+                    is_upper_bound=False,
+                    unit="mm",
+                    factor=1e3,
+                    size=1e-3,
+                    movable=False,
+                )
                 yield limit, lambda q: ca.vertcat(*(q.order_reserve(row) for row in points)) - ORDER_RESERVE, None
         case Nesting(clearance=lower) if robot.nested_pairs:
             inner, outer = (list(tubes) for tubes in zip(*robot.nested_pairs, strict=True))
-            limit = Limit("clearance of the diameters", lower, False, "mm", 1e3, 1e-4)
+            limit = Limit("clearance of the diameters", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-4)
             yield limit, lambda q: q.tubes["inner_diameter"][outer] - q.tubes["outer_diameter"][inner] - lower, None
         case Channel(diameter=lower):
-            limit = Limit("channel between the tubes", lower, False, "mm", 1e3, 1e-4)
+            limit = Limit("channel between the tubes", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-4)
             yield limit, lambda q: q.channel - lower, None
         case Bore(diameter=lower):
             around = {outer for _, outer in robot.nested_pairs}
             innermost = [i for i in range(robot.n_tubes) if i not in around]
-            limit = Limit("bore of the innermost tubes", lower, False, "mm", 1e3, 1e-4)
+            limit = Limit("bore of the innermost tubes", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-4)
             yield limit, lambda q: q.tubes["inner_diameter"][innermost] - lower, None
         case Girth(limit=upper):
-            limit = Limit("diameter of the sheath", upper, True, "mm", 1e3, 1e-4)
+            limit = Limit("diameter of the sheath", upper, is_upper_bound=True, unit="mm", factor=1e3, size=1e-4)
             yield limit, lambda q: upper - q.sheath_diameter, None
         case Wall(thickness=lower):
-            limit = Limit("wall thickness", lower, False, "mm", 1e3, 1e-4)
+            limit = Limit("wall thickness", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-4)
             yield limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - lower, None
         case Length(field=field, tube=i):
             sign, overall = 1.0 if requirement.least else -1.0, field == "length"
             name = f"{'overall length' if overall else field.replace('_', ' ')} of tube {i + 1}"
             parts = ("straight_length", "curved_length") if overall else (field,)
-            limit = Limit(name, requirement.limit, not requirement.least, "mm", 1e3, 1e-2)
+            limit = Limit(
+                name, requirement.limit, is_upper_bound=not requirement.least, unit="mm", factor=1e3, size=1e-2
+            )
             yield limit, lambda q: sign * (sum(q.tubes[part][i] for part in parts) - limit.value), None
         case _:
             yield from _stated_of_poses(requirement, poses, points)
@@ -162,36 +172,42 @@ def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> 
     """Limits of requirements on poses: each with the distance to it, and the vector if its length is limited."""
     match requirement:
         case SnapFreeInUse(margin=lower) if poses:
-            limit = Limit("margin in use", lower, False, "", 1.0, 0.1)
+            limit = Limit("margin in use", lower, is_upper_bound=False, unit="", factor=1.0, size=0.1)
             yield limit, lambda q: ca.vertcat(*(e.margin for e in arms(q, poses, requirement.deployed))) - lower, None
         case Strain(limits=limits):
             posed = poses if requirement.in_poses else ()
             for i, upper in enumerate(limits if requirement.straightened or posed else ()):
-                limit = Limit(f"strain of tube {i + 1}", upper, True, "%", 1e2, 1e-3)
+                limit = Limit(f"strain of tube {i + 1}", upper, is_upper_bound=True, unit="%", factor=1e2, size=1e-3)
                 yield limit, partial(_remaining_strain, requirement, posed, i), None
         case Avoid(clearance=lower) if poses:
-            limit = Limit("clearance of the obstacles", lower, False, "mm", 1e3, 1e-3)
+            limit = Limit("clearance of the obstacles", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-3)
             yield (
                 limit,
                 lambda q: ca.vertcat(*(e.clearance(requirement) for e in arms(q, poses, requirement.deployed))) - lower,
                 None,
             )
         case Stroke(limit=upper) if len(poses) > 1:
-            limit = Limit("stroke of a carriage", upper, True, "mm", 1e3, 1e-2)
+            limit = Limit("stroke of a carriage", upper, is_upper_bound=True, unit="mm", factor=1e3, size=1e-2)
             yield limit, partial(_remaining_stroke, upper, poses), None
         case StrokeForce(limit=lower):
-            limit = Limit("stroke force", lower, False, "mN", 1e3, 1e-2)
+            limit = Limit("stroke force", lower, is_upper_bound=False, unit="mN", factor=1e3, size=1e-2)
             yield limit, lambda q: ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - lower, None
         case Reach(targets=targets):
             for k, (pose, target) in enumerate(zip(poses, targets, strict=True), start=1):
-                limit = Limit(f"tolerance of target {k}", target.tolerance, True, "mm", 1e3, 1e-3)
+                limit = Limit(
+                    f"tolerance of target {k}", target.tolerance, is_upper_bound=True, unit="mm", factor=1e3, size=1e-3
+                )
                 yield _near(limit, (pose,), (target.position,))
                 if target.direction is not None:
                     name, upper = f"tolerance of the direction at target {k}", target.direction_tolerance
-                    limit = Limit(name, upper, True, "deg", 180 / np.pi, np.radians(5.0))
+                    limit = Limit(
+                        name, upper, is_upper_bound=True, unit="deg", factor=180 / np.pi, size=np.radians(5.0)
+                    )
                     yield limit, partial(_along, limit, pose, target.direction), None
         case Coverage(tolerance=upper):
-            limit = Limit("tolerance of the workspace box", upper, True, "mm", 1e3, 1e-3)
+            limit = Limit(
+                "tolerance of the workspace box", upper, is_upper_bound=True, unit="mm", factor=1e3, size=1e-3
+            )
             yield _near(limit, poses, points)
         case _:
             return

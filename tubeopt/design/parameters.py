@@ -667,7 +667,14 @@ def _piece_entries(
         for group in [(position,) for position in positions] if dimension.tie == "each" else [tuple(positions)]:
             tube_numbers = tuple(sorted({i for i, _ in group}))
             unknowns = (
-                Unknown(dimension.field, tube_numbers, False, group, k, dimension.torsion_share)
+                Unknown(
+                    field=dimension.field,
+                    tubes=tube_numbers,
+                    scaled=False,
+                    pieces=group,
+                    order=k,
+                    torsion_share=dimension.torsion_share,
+                )
                 for k in range(dimension.coefficients)
             )
             entries += [(dimension, unknown) for unknown in unknowns]

@@ -102,7 +102,9 @@ def _bounds(design: Attempt, multipliers: Array) -> list[tuple[Limit, float]]:
         at_bound = abs(design.x[k] - value) <= 1e-4 * space.scale[k]
         if at_bound and space.upper[k] > space.lower[k]:
             size = min(float(space.scale[k]), 0.2 * abs(value)) if value else float(space.scale[k])
-            out.append((Limit(description, value, is_upper, unit, factor, size), abs(price)))
+            out.append(
+                (Limit(description, value, is_upper_bound=is_upper, unit=unit, factor=factor, size=size), abs(price))
+            )
     return out
 
 

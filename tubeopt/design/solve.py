@@ -589,7 +589,15 @@ def solve_from(program: Program, start: Array, report: Report | None = None, *, 
     except OutOfTimeError:
         best = program_alone.lately.best
         if best is None:
-            return Attempt(program_alone, program_alone.lower, np.inf, np.inf, NOTHING, None, out_of_time=True)
+            return Attempt(
+                program=program_alone,
+                x=program_alone.lower,
+                objective=np.inf,
+                violation=np.inf,
+                worst=NOTHING,
+                optimum=None,
+                out_of_time=True,
+            )
         x = np.clip(best.x, program_alone.lower, program_alone.upper)
         return Attempt(program_alone, x, best.objective, best.violation, best.worst, None, out_of_time=True)
 

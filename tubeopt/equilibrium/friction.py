@@ -184,7 +184,9 @@ def _stored(state: ContactState, stored: FrictionState) -> Increment:
     # Slip is stored only as a torque at its limit, which a file may have rounded in the last digit.
     slips = np.abs(torque) >= state.capacity * (1 - 1e-12)
     signs = (np.sign(torque) * slips).astype(np.int8)
-    return Increment(state, torque, signs, 0.0, True, 0.0, stored.violation)
+    return Increment(
+        state=state, torque=torque, signs=signs, heat=0.0, converged=True, contraction=0.0, violation=stored.violation
+    )
 
 
 def _bundle_at_rest(robot: BundleRobot, equilibrium: Equilibrium, friction: Friction) -> BundleFriction:
@@ -208,7 +210,17 @@ def _bundle_at_rest(robot: BundleRobot, equilibrium: Equilibrium, friction: Fric
     state = contact.of(alpha, elastic)
     none = np.zeros(len(state.rows))
     result = (
-        Increment(state, none, none.astype(np.int8), 0.0, True, 0.0, 0.0) if stored is None else _stored(state, stored)
+        Increment(
+            state=state,
+            torque=none,
+            signs=none.astype(np.int8),
+            heat=0.0,
+            converged=True,
+            contraction=0.0,
+            violation=0.0,
+        )
+        if stored is None
+        else _stored(state, stored)
     )
     return BundleFriction(
         contact, alpha, shift, result, 0.0 if stored is None else stored.heat, member=member, errors=errors
@@ -245,7 +257,15 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
     if not relaxed.converged:
         raise SolveError("Newton's method does not converge from start on the friction mesh")
     zero = np.zeros(len(contact.capacity))
-    result = Increment(relaxed.state, zero, zero.astype(np.int8), 0.0, True, 0.0, 0.0)
+    result = Increment(
+        state=relaxed.state,
+        torque=zero,
+        signs=zero.astype(np.int8),
+        heat=0.0,
+        converged=True,
+        contraction=0.0,
+        violation=0.0,
+    )
     return FrictionEquilibrium(contact, alpha, equilibrium.translations, result, 0.0)
 
 

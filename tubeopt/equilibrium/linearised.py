@@ -435,7 +435,10 @@ def tip_forces(of: Directions) -> list[Change]:
     arm, still = of.arm, np.zeros(of.n)
     none = np.zeros((arm.elements, arm.degree, of.n))
     force = np.broadcast_to(np.eye(3)[:, None, None], (3, arm.elements, arm.degree, 3))
-    return [Change(still, none, none, none, none, still, each) for each in force]
+    return [
+        Change(transmission=still, rate=none, stiffness=none, moment=none, phase=none, twist_angle=still, force=each)
+        for each in force
+    ]
 
 
 def base_wrench_change(of: Linearised) -> Array:

@@ -201,7 +201,15 @@ def _file_key(spec: FieldSpec) -> FileKey:
     if default is not MISSING and default is not None and not several:
         default = write(default)
     name = key.name or (f"{spec.name}_{key.unit}" if key.unit else spec.name)
-    return FileKey(spec.name, name, spec.first(str) or "", annotation, None if several else default, read, write)
+    return FileKey(
+        name=spec.name,
+        key=name,
+        about=spec.first(str) or "",
+        annotation=annotation,
+        default=None if several else default,
+        read=read,
+        write=write,
+    )
 
 
 def _default(field: FileKey) -> Any:

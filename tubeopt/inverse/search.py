@@ -100,7 +100,9 @@ def find_path(
         task, start, goals, clock.part(OBSTRUCTION_FRACTION, most=OBSTRUCTION_SECONDS), seed=seed
     )
     if obstruction is not None and obstruction.proved:
-        return PathResult(None, "search", tried, None, obstruction.message, True)
+        return PathResult(
+            points=None, how="search", motions=tried, closest=None, why=obstruction.message, impossible=True
+        )
     if how != "rrt_connect" and obstruction is None:
         part = clock.part(DETOUR_FRACTION, most=DETOUR_SECONDS)
         for goal in goals:

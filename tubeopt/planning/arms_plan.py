@@ -211,7 +211,17 @@ def plan_arms(
     for k in twice:
         final = replace(motions[k], proof=proof.proofs[k], obstacles=bodies_in_frame(known[k].base, bodies))
         motions = (*motions[:k], final, *motions[k + 1 :])
-    return ArmsPlan(known, motions, order, bodies, min_margin, options.kept_clearance, proof, clock.seconds, twice)
+    return ArmsPlan(
+        arms=known,
+        trajectories=motions,
+        order=order,
+        obstacles=bodies,
+        min_margin=min_margin,
+        min_clearance=options.kept_clearance,
+        proof=proof,
+        seconds=clock.seconds,
+        withdrawn_first=twice,
+    )
 
 
 def _check_starts(arms: Sequence[PlacedRobot], first: Sequence[Equilibrium], clearance: float) -> None:

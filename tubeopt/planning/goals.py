@@ -485,16 +485,16 @@ def _near_equilibria(
     for target in tip_goal.single_goals():
         # Twice the tolerance of `_fault`, which must not reject a solution for round-off.
         question = Goal(
-            space,
-            target.position,
-            target.direction,
-            task.min_margin + 2 * FINISHED,
-            task.scene,
-            None,
-            False,
-            space.middle(),
-            weights,
-            options,
+            space=space,
+            position=target.position,
+            direction=target.direction,
+            min_margin=task.min_margin + 2 * FINISHED,
+            scene=task.scene,
+            objective=None,
+            named=False,
+            reference=space.middle(),
+            weights=weights,
+            options=options,
             clock=clock,
         )
         points = nearby(question.position)

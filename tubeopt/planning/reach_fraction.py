@@ -150,7 +150,15 @@ def evaluate_reach(
                 if search.reaches(z):
                     miss[k], joints[k], tips[k] = distance, task.coordinates.joints(z[None])[0], z[:n]
     configurations = np.array([task.coordinates.space.joint(q) for q in joints])
-    return ReachFraction(points, miss, tolerance, configurations[:, :n], configurations[:, n:], tips, examined)
+    return ReachFraction(
+        targets=points,
+        miss=miss,
+        tolerance=tolerance,
+        rotations=configurations[:, :n],
+        translations=configurations[:, n:],
+        tip_rotations=tips,
+        examined=examined,
+    )
 
 
 @dataclass(eq=False)

@@ -259,7 +259,16 @@ class TransportBounds:
                 DerivativeBounds(1 / kb.sum(-1), none, none, none),
             )
             compliance = DerivativeBounds(1 / c.smallest(b.torsional, *stretches), none, none, none)
-            return TransportBounds(True, nothing, nothing, compliance, nothing, nothing, nothing, bending_compliance)
+            return TransportBounds(
+                still=True,
+                natural_curvature=nothing,
+                pairs=nothing,
+                compliance=compliance,
+                compliance_slope=nothing,
+                twist_slope=nothing,
+                twist_deviation=nothing,
+                bending_compliance=bending_compliance,
+            )
 
         def by_time(value: Array, *rates: Array) -> DerivativeBounds:
             # d/dt = move d/ds, for every order.

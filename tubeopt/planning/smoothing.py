@@ -377,13 +377,13 @@ def _solve(
     space, n = task.coordinates.space, task.coordinates.space.robot.n_tubes
     scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
-        task.coordinates.kind,
-        space.carriages,
-        len(step),
-        len(space.row_lower),
-        task.obstacles,
-        space.length,
-        task.cost,
+        kind=task.coordinates.kind,
+        carriages=space.carriages,
+        intervals=len(step),
+        rows=len(space.row_lower),
+        obstacles=task.obstacles,
+        length=space.length,
+        extra=task.cost,
     )
     program = path_program(question)
     q = task.coordinates.joints(z)

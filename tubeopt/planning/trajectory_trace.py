@@ -492,7 +492,15 @@ def follow(verifier: TrajectoryVerifier, first: Equilibrium, t: Array, joints: A
         links = links if unproved else [link for link in cleared.links if link.start is not link.end]
     steps = [origin, *(link.end for link in links)]
     margin = 0.0 if snap is not None else _least_margin(verifier, steps)
-    return TrajectoryTrace(tuple(steps), snap, tuple(unproved), margin, clearance, measured, tuple(links))
+    return TrajectoryTrace(
+        steps=tuple(steps),
+        snap=snap,
+        unproved=tuple(unproved),
+        margin=margin,
+        clearance=clearance,
+        measured=measured,
+        links=tuple(links),
+    )
 
 
 def _unproved(verifier: TrajectoryVerifier, steps: list[TraceStep], snap: float | None) -> TrajectoryTrace:
@@ -501,7 +509,15 @@ def _unproved(verifier: TrajectoryVerifier, steps: list[TraceStep], snap: float 
     distances = [ArmSurface(step.equilibrium).clearance(verifier.scene) for step in steps]
     margin = 0.0 if snap is not None else _least_margin(verifier, steps)
     clearance = -math.inf if verifier.scene.bodies else math.inf
-    return TrajectoryTrace(tuple(steps), snap, ((0.0, steps[-1].at),), margin, clearance, min(distances), links)
+    return TrajectoryTrace(
+        steps=tuple(steps),
+        snap=snap,
+        unproved=((0.0, steps[-1].at),),
+        margin=margin,
+        clearance=clearance,
+        measured=min(distances),
+        links=links,
+    )
 
 
 def _take_steps(

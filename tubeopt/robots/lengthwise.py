@@ -397,7 +397,15 @@ def variation(tubes: tuple[Tube, ...]) -> Variation:
         bounds[:, i, len(tube_cells) : longest] = bounds[:, i, len(tube_cells) - 1, None]
         # Behind the end kt stays what it was, since 1 / kt is taken there too.
         bounds[4, i, longest] = bounds[4, i, longest - 1]
-    return Variation(cuts, bounds[0:4], bounds[4], bounds[5:8], bounds[8:12], bounds[12:15], bounds[15:])
+    return Variation(
+        cuts=cuts,
+        bending=bounds[0:4],
+        torsional=bounds[4],
+        compliance=bounds[5:8],
+        moment=bounds[8:12],
+        twist=bounds[12:15],
+        stiffest=bounds[15:],
+    )
 
 
 def _cells(tube: Tube) -> list[tuple[float, float, float]]:
@@ -530,7 +538,15 @@ def steps_of(tubes: Sequence[Tube]) -> Steps:
     length, x, y, z, bending, torsional = table.transpose(2, 0, 1)
     # The turn where a stretch begins: the sum without its own part.
     twist_angle = np.cumsum(length * z, axis=1) - length * z
-    return Steps(np.cumsum(length, axis=1), bending, torsional, np.hypot(x, y), np.arctan2(y, x), z, twist_angle)
+    return Steps(
+        cuts=np.cumsum(length, axis=1),
+        bending=bending,
+        torsional=torsional,
+        curvature=np.hypot(x, y),
+        phase=np.arctan2(y, x),
+        twist=z,
+        twist_angle=twist_angle,
+    )
 
 
 def varies(tubes: Sequence[Tube]) -> bool:

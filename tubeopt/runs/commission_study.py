@@ -188,7 +188,16 @@ def commission(
         name=robot.name or "robot",
         options=ServoOptions(min_snap_distance=floor),
     )
-    return Commissioning(robot, tuple(known), comparison, fitted, placement, floor, library, tuple(remarks))
+    return Commissioning(
+        given=robot,
+        logs=tuple(known),
+        comparison=comparison,
+        fit=fitted,
+        placement=placement,
+        floor=floor,
+        library=library,
+        remarks=tuple(remarks),
+    )
 
 
 def _fingerprint(robot: Robot, paths: Sequence[Path], *options: object) -> str:

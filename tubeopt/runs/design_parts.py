@@ -139,15 +139,15 @@ class FreeEntry(Part):
         if dimension.scaled and self.equal:
             raise ValueError(f"gives equal with {key}; a factor is already the same for all its tubes")
         return Free(
-            dimension.field,
-            tuple(i - 1 for i in self.tubes),
-            low,
-            high,
-            "scaled" if dimension.scaled else "equal" if self.equal else "each",
-            tuple(j - 1 for j in self.pieces),
-            self.coefficients,
-            self.si("torsion_share"),
-            None if self.slots is None else self.slots.build(),
+            field=dimension.field,
+            tubes=tuple(i - 1 for i in self.tubes),
+            lower=low,
+            upper=high,
+            tie="scaled" if dimension.scaled else "equal" if self.equal else "each",
+            pieces=tuple(j - 1 for j in self.pieces),
+            coefficients=self.coefficients,
+            torsion_share=self.si("torsion_share"),
+            slots=None if self.slots is None else self.slots.build(),
         )
 
 

@@ -290,9 +290,19 @@ def _clock(name: str, numbers: Array, stated: str, answers: Mapping[str, str]) -
     period = float(np.median(steps[steps > 0])) if (steps > 0).any() else 1.0
     possible = [unit for unit, size in TIME.items() if PERIODS[0] <= period * float(size) <= PERIODS[1]]
     if name in answers:
-        return Decision(name, answers[name], "", math.nan, math.nan, True, "as answered")
+        return Decision(
+            about=name,
+            chosen=answers[name],
+            other="",
+            rms=math.nan,
+            other_rms=math.nan,
+            certain=True,
+            reason="as answered",
+        )
     if stated and (stated in possible or not possible):
-        return Decision(name, stated, "", math.nan, math.nan, True, "as named")
+        return Decision(
+            about=name, chosen=stated, other="", rms=math.nan, other_rms=math.nan, certain=True, reason="as named"
+        )
     if not possible:
         raise InputError(
             f"the rows of {name} are {period:g} apart; that must be {PERIODS[0]:g} to {PERIODS[1]:g} s in a unit of "
@@ -303,7 +313,15 @@ def _clock(name: str, numbers: Array, stated: str, answers: Mapping[str, str]) -
         possible[1] if len(possible) > 1 else stated or next(u for u in TIME if u != possible[0]),
     )
     reason = f"rows are {period * float(TIME[chosen]):.3g} s apart"
-    return Decision(name, chosen, other, math.nan, math.nan, len(possible) == 1, reason)
+    return Decision(
+        about=name,
+        chosen=chosen,
+        other=other,
+        rms=math.nan,
+        other_rms=math.nan,
+        certain=len(possible) == 1,
+        reason=reason,
+    )
 
 
 def _mapping(
@@ -368,9 +386,25 @@ def _oriented(tips: LogColumns, mapping: Mapping[str, Any], robot: Robot) -> tup
     least, other = math.degrees(angles[best]), math.degrees(angles[second])
     text = f"directions are {least:.1f} deg off; as {', '.join(second)} {other:.0f} deg"
     if angles[best] > POINTS:
-        return {}, Decision("quaternion", "left out", "", math.nan, math.nan, True, f"no order fits: {text}")
+        return {}, Decision(
+            about="quaternion",
+            chosen="left out",
+            other="",
+            rms=math.nan,
+            other_rms=math.nan,
+            certain=True,
+            reason=f"no order fits: {text}",
+        )
     named = zip(names, QUATERNIONS[best[0]], strict=True)
     sign = "-" if best[1] == "device to sensor" else ""
     meanings = {tips.quaternion[k]: name if name == "qw_1" else f"{sign}{name}" for name, k in named}
     certain = other > CLEARLY * max(least, 2.0)
-    return meanings, Decision("quaternion", ", ".join(best), ", ".join(second), math.nan, math.nan, certain, text)
+    return meanings, Decision(
+        about="quaternion",
+        chosen=", ".join(best),
+        other=", ".join(second),
+        rms=math.nan,
+        other_rms=math.nan,
+        certain=certain,
+        reason=text,
+    )

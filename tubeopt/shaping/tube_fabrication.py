@@ -126,7 +126,13 @@ def plan_tube(
             if drawn is None or plan is None:
                 raise
             return TubeFabrication(
-                tube, drawn, drawn_rig, plan, round_ - 1, f"{_required_lead(plan)}: {error}", remarks
+                tube=tube,
+                mold=drawn,
+                rig=drawn_rig,
+                heating=plan,
+                rounds=round_ - 1,
+                disagreement=f"{_required_lead(plan)}: {error}",
+                remarks=remarks,
             )
         drawn, previous, drawn_rig = next_mold, drawn_rig, rig_as_drawn(rig, next_mold)
         if plan is None or not _same_rig(previous, drawn_rig):
@@ -138,13 +144,29 @@ def plan_tube(
                 remarks += shortened
         elif _consistent(drawn, plan):
             bare = _bare_disagreement(drawn_rig, longest)
-            return TubeFabrication(tube, drawn, drawn_rig, plan, round_, bare, (*remarks, *ageing_remarks(plan)))
+            return TubeFabrication(
+                tube=tube,
+                mold=drawn,
+                rig=drawn_rig,
+                heating=plan,
+                rounds=round_,
+                disagreement=bare,
+                remarks=(*remarks, *ageing_remarks(plan)),
+            )
         feedback = _heating_feedback(drawn.grooves[0], plan, heating)
     assert drawn is not None
     assert plan is not None
     too_short = plan.cold_end > _clamp_to_bend(drawn.grooves[0]) + SAME_LENGTH
     reason = _required_lead(plan) if too_short else "the mold as drawn still changes"
-    return TubeFabrication(tube, drawn, drawn_rig, plan, MAX_ROUNDS, f"{reason} after {MAX_ROUNDS} rounds", remarks)
+    return TubeFabrication(
+        tube=tube,
+        mold=drawn,
+        rig=drawn_rig,
+        heating=plan,
+        rounds=MAX_ROUNDS,
+        disagreement=f"{reason} after {MAX_ROUNDS} rounds",
+        remarks=remarks,
+    )
 
 
 def mold_spec_for(

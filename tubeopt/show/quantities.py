@@ -12,7 +12,7 @@ import inspect
 import string
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
 from types import EllipsisType
 from typing import Annotated, Any, Generic, TypeVar
@@ -190,7 +190,9 @@ def _lifted(q: Quantity[B], part: Callable[[A], B | None]) -> Quantity[A]:
     # A row of text alone has no value to find.
     get = of_the_whole(q.si_value) if q.key else None
     text = of_the_whole(q.text) if callable(q.text) else q.text
-    return Quantity(q.key, q.about, get, q.form, text, q.of, q.label, q.digits, q.optional)
+    # Of any answer: `replace` keeps the type of what it copies.
+    copied: Quantity[Any] = q
+    return replace(copied, get=get, text=text)
 
 
 def record(answer: A, quantities: Iterable[Quantity[A]]) -> dict[str, Any]:

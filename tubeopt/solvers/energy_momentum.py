@@ -110,7 +110,17 @@ def motion(
     state = system.at(start)
     velocity = system.slopes(start).position @ prescribed
     kinetic = float(velocity @ system.mass @ velocity) / 2
-    now = Instant(0.0, start, state.position, velocity, state.energy, kinetic, 0.0, 0.0, 0.0)
+    now = Instant(
+        time=0.0,
+        y=start,
+        position=state.position,
+        velocity=velocity,
+        elastic=state.energy,
+        kinetic=kinetic,
+        dissipated=0.0,
+        load_work=0.0,
+        drive_work=0.0,
+    )
     yield now
     h, mean, slope, before = first, prescribed, np.zeros(len(start)), 0.0
     error_scale = tolerance * np.sqrt(scale)

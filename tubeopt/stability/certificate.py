@@ -380,7 +380,15 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
         for name in PARAMETERS if np.isfinite(found.margin) else ():
             of = "translations" if name == "translation" else name
             gradient[name] = proof_slopes(bundle, {of: np.eye(n)})[0]
-        return Certificate(found.margin, shift, gradient, None, None, np.zeros((n, n)), found.obstacle)
+        return Certificate(
+            margin=found.margin,
+            translations=shift,
+            gradient=gradient,
+            pair=None,
+            section=None,
+            pair_fractions=np.zeros((n, n)),
+            obstacle=found.obstacle,
+        )
     if robot.assembly(shift).eccentric:
         return _of_segments(robot, shift)
     problem, opposition, proved = _problem(robot, shift), None, None
@@ -389,7 +397,9 @@ def certify(robot: Robot, translations: ArrayLike | None = None) -> Certificate:
     margin, y, next_eigenvalue = worst_case(problem, opposition)
     if margin >= 1 - 1e-12:
         zero = {name: np.zeros(n) for name in PARAMETERS}
-        return Certificate(margin, shift, zero, None, None, np.zeros((n, n)))
+        return Certificate(
+            margin=margin, translations=shift, gradient=zero, pair=None, section=None, pair_fractions=np.zeros((n, n))
+        )
 
     # 1 - margin is a sum over points and pairs of |c_ij| (y_i - y_j)^2: the largest parts limit the robot.
     work = _at_worst(problem, opposition)[1] * (y[:, :, None] - y[:, None, :]) ** 2 * problem.weight[:, None, None]
@@ -428,7 +438,14 @@ def _of_segments(robot: Robot, shift: Array) -> Certificate:
     if segment is not None:
         tubes = list(segment.tubes)
         fraction[np.ix_(tubes, tubes)] = (1 - np.eye(3)) / 3
-    return Certificate(margin, shift, gradient, None, None if segment is None else segment.section, fraction)
+    return Certificate(
+        margin=margin,
+        translations=shift,
+        gradient=gradient,
+        pair=None,
+        section=None if segment is None else segment.section,
+        pair_fractions=fraction,
+    )
 
 
 def _linearised(point: PlainPoint) -> Linearised:

@@ -196,7 +196,7 @@ def follow_with_friction(
         # Where the kernel stops, one segment is followed with step-length control.
         if count < len(rows) - 1:
             end, snaps = segment_with_friction(robot, current, joints[k], load)
-            yield FollowedRows(k, joints[k - 1 : k + 1], current, end, None, snaps)
+            yield FollowedRows(first=k, rows=joints[k - 1 : k + 1], start=current, end=end, states=None, snaps=snaps)
             current, k = end, k + 1
 
 

@@ -145,7 +145,14 @@ def find_load_limit(
         left = _restart(left, replace(left.member, factor=loss.t * (1 + PAST)))
     landed = None if loss.kind == "flutter" else loss.landed or fall(left, loss.direction)
     if landed is None:
-        return LoadLimit(loss.t * scale, loss.kind, before, None, float("nan"), float("nan"))
+        return LoadLimit(
+            factor=loss.t * scale,
+            kind=loss.kind,
+            before=before,
+            after=None,
+            tip_jump=float("nan"),
+            energy_released=float("nan"),
+        )
     after = to_equilibrium(landed, "the load before")
     return LoadLimit(
         factor=loss.t * scale,

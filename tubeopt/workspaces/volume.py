@@ -107,7 +107,7 @@ def meridian_volume(workspace: Workspace, size: float | None = None, *, min_marg
         raise InputError(f"min_margin is {min_margin:g}; no sample has this margin")
     value, surface = _revolved(keys[False], scale)
     first_half = _revolved(keys[True], scale)[0] if len(keys[True]) else 0.0
-    return Volume(value, "meridian", scale, first_half, float("nan"), surface)
+    return Volume(value=value, method="meridian", scale=scale, half=first_half, unseen=float("nan"), surface=surface)
 
 
 def _revolved(index: Keys, size: float) -> tuple[float, float]:
@@ -142,7 +142,7 @@ def alpha_volume(workspace: Workspace, radius: float | None = None, *, min_margi
     tips = np.asarray(table[has_margin(table, min_margin), -7:-4])
     value, reach = alpha_shape(tips, radius)
     half, _ = alpha_shape(tips[: len(tips) // 2], radius)
-    return Volume(value, "alpha", reach, half, float("nan"), float("nan"))
+    return Volume(value=value, method="alpha", scale=reach, half=half, unseen=float("nan"), surface=float("nan"))
 
 
 def alpha_shape(points: Array, radius: float | None = None) -> tuple[float, float]:

@@ -382,7 +382,17 @@ def evaluate_arm(problem: ReducedProblem, rotations: Array, state: Evaluation, t
     elements = len(mesh.length)
     if not elements:
         still, zero = rotations[:, None] + problem.assembly.twist_angle(np.zeros(1)).T, np.zeros((1, 3))
-        return Arm(np.zeros(1), still, np.zeros((n, 1)), zero[:, :2], zero, np.eye(3)[None], 0.0, 0.0, 0.0)
+        return Arm(
+            arc_length=np.zeros(1),
+            rotation=still,
+            torsion=np.zeros((n, 1)),
+            curvature=zero[:, :2],
+            position=zero,
+            frame=np.eye(3)[None],
+            shape_error=0.0,
+            defect=0.0,
+            energy=0.0,
+        )
     at_ends, finer, *inside = _sections(problem, torsion, steps := _steps(problem))
     length = np.repeat(mesh.length / steps, steps)
     u = np.zeros((elements, steps.max() * len(GAUSS_POINTS), 2))

@@ -356,7 +356,15 @@ def evaluate(problem: ReducedProblem, rotations: Array, z: Array) -> Evaluation:
     theta[:] = rotations
     if count == 0:
         nothing = theta.copy()
-        return Evaluation(z, theta, 0.0, z.copy(), np.zeros((0, 0)), nothing, nothing if assembly.eccentric else None)
+        return Evaluation(
+            z=z,
+            theta=theta,
+            energy=0.0,
+            gradient=z.copy(),
+            hessian=np.zeros((0, 0)),
+            moment=nothing,
+            extra_twist=nothing if assembly.eccentric else None,
+        )
     theta.ravel()[problem.flat] += problem.factor @ z
     balance = section_function("balance", count, assembly.n_tubes, assembly.eccentric)
     # M, dM/dtheta and V of the cross-sections, from kb and m of their tubes.

@@ -96,7 +96,9 @@ def strain_check(number: int, held: Tube, spec: MoldSpec, process: str, occasion
         f"tube {number} is strained {strain * 100:.3g} % {occasion}, beyond the {limit * 100:.3g} % that "
         f"{held.material.name} springs back from; {remedy}"
     )
-    return Check(f"tube {number}: strain when {process}", strain, limit, "1", True, failure)
+    return Check(
+        name=f"tube {number}: strain when {process}", value=strain, limit=limit, unit="1", at_most=True, failure=failure
+    )
 
 
 def pressing_strain(tube: Tube, mold_curvature: float) -> float:
@@ -115,31 +117,31 @@ def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
     return (
         strain_check(number, tube, spec, "pressed into the groove", pressed, remedy),
         Check(
-            f"tube {number}: radius of the bend over that of its inner wall's cutter",
-            radius,
-            max(width / 2, mill.diameter / 2),
-            "m",
-            False,
-            f"the mold radius for tube {number} is {radius * 1e3:.4g} mm, below half the groove's width "
+            name=f"tube {number}: radius of the bend over that of its inner wall's cutter",
+            value=radius,
+            limit=max(width / 2, mill.diameter / 2),
+            unit="m",
+            at_most=False,
+            failure=f"the mold radius for tube {number} is {radius * 1e3:.4g} mm, below half the groove's width "
             f"({width / 2 * 1e3:.4g} mm) and the end mill's own radius ({mill.diameter / 2 * 1e3:.4g} mm); it cannot "
             "be milled",
         ),
         Check(
-            f"tube {number}: depth of the groove within the end mill's reach",
-            depth,
-            mill.reach,
-            "m",
-            True,
-            f"the groove of tube {number} is {depth * 1e3:.4g} mm deep, deeper than the {mill.diameter * 1e3:g} mm end "
-            f"mill cuts ({mill.reach * 1e3:.4g} mm)",
+            name=f"tube {number}: depth of the groove within the end mill's reach",
+            value=depth,
+            limit=mill.reach,
+            unit="m",
+            at_most=True,
+            failure=f"the groove of tube {number} is {depth * 1e3:.4g} mm deep, deeper than the "
+            f"{mill.diameter * 1e3:g} mm end mill cuts ({mill.reach * 1e3:.4g} mm)",
         ),
         Check(
-            f"tube {number}: material below the groove",
-            floor,
-            spec.groove.floor,
-            "m",
-            False,
-            f"the plate is too thin: {spec.plate.thickness * 1e3:.4g} mm. The groove of tube {number} is "
+            name=f"tube {number}: material below the groove",
+            value=floor,
+            limit=spec.groove.floor,
+            unit="m",
+            at_most=False,
+            failure=f"the plate is too thin: {spec.plate.thickness * 1e3:.4g} mm. The groove of tube {number} is "
             f"{depth * 1e3:.4g} mm deep; {spec.groove.floor * 1e3:.4g} mm must stay below it",
         ),
     )
@@ -148,12 +150,13 @@ def tube_checks(blank: Blank, spec: MoldSpec) -> tuple[Check, ...]:
 def wall_check(min_wall: float, spec: MoldSpec) -> Check:
     """Check of the thinnest wall between grooves, m."""
     return Check(
-        "least wall between grooves",
-        min_wall,
-        spec.groove.wall,
-        "m",
-        False,
-        f"the wall between grooves is {min_wall * 1e3:.4g} mm; it must be at least {spec.groove.wall * 1e3:.4g} mm",
+        name="least wall between grooves",
+        value=min_wall,
+        limit=spec.groove.wall,
+        unit="m",
+        at_most=False,
+        failure=f"the wall between grooves is {min_wall * 1e3:.4g} mm; it must be at least "
+        f"{spec.groove.wall * 1e3:.4g} mm",
     )
 
 

@@ -223,7 +223,9 @@ def stages_of(mold: Mold, part: str) -> list[Stage]:
         if wider > PILOTED:
             of_drill += [replace(hole, purpose="pilot") for hole in holes if drill_diameter(hole) > PILOTED]
         tool, feed = f"drill {diameter * TO_MM:g} mm", shop.drill_feed
-        drill = Stage(tool, diameter, shop.drill_spindle, feed, feed, shop.peck, ()).slowed(spec.material)
+        drill = Stage(
+            tool=tool, diameter=diameter, spindle=shop.drill_spindle, feed=feed, plunge=feed, step=shop.peck, lines=()
+        ).slowed(spec.material)
         stages.append(replace(drill, lines=tuple(drilled(of_drill, drill, thickness, spec))))
     cut = [] if base or mold.hinge is None else list(across(mold.size[0], mold.hinge.pin, thickness, spec))
     if shop.cut_out:
@@ -546,7 +548,9 @@ def _motions(machine: _Machine, line: int, words: list[tuple[str, float]]) -> It
     if machine.motion == 83:
         machine.cycle_depth = values.get("Z", machine.cycle_depth)
         machine.cycle_start = values.get("R", machine.cycle_start)
-        yield Motion(line, Arc.between(start, end), machine.z, machine.z, None, spindle)
+        yield Motion(
+            line=line, piece=Arc.between(start, end), start=machine.z, end=machine.z, feed=None, spindle=spindle
+        )
         machine.position = end
         hole = Arc.between(end, end)
         yield Motion(line, hole, machine.cycle_start, machine.cycle_depth, machine.feed, spindle, cycle=True)

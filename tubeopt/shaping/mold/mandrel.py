@@ -329,7 +329,16 @@ def _wall_checks(
         f"the turns of the groove of tube {number} leave {wall * 1e3:.4g} mm of wall between them; it must be at least "
         f"{spec.groove.wall * 1e3:.4g} mm: set fewer turns at a time"
     )
-    return [Check(f"tube {number}: wall between turns of the groove", wall, spec.groove.wall, "m", False, failure)]
+    return [
+        Check(
+            name=f"tube {number}: wall between turns of the groove",
+            value=wall,
+            limit=spec.groove.wall,
+            unit="m",
+            at_most=False,
+            failure=failure,
+        )
+    ]
 
 
 def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -> tuple[Block, Winding]:
