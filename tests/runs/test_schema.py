@@ -43,6 +43,12 @@ def test_schemas_are_written_to_directory(tmp_path: Path) -> None:
     assert json.loads((tmp_path / "schema" / "robot.schema.json").read_text())["title"] == "tubeopt robot"
 
 
+def test_bounds_are_rounded() -> None:
+    """-40 degC is 233.15 K, and not -40.00000000000002 degC."""
+    unrounded = re.compile(r'"\w*[mM](?:in|ax)imum": -?\d*\.\d{11,}')
+    assert [name for name, text in made().items() if unrounded.search(text)] == []
+
+
 def test_the_page_is_in_step() -> None:
     assert (CONFIGS.parent / PAGE).read_text(encoding="utf-8") == page(), "run `python -m tubeopt.runs.schema`"
 

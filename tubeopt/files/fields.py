@@ -277,9 +277,10 @@ def _bounds(metadata: tuple[Any, ...]) -> dict[str, float]:
 
 def _number(metadata: tuple[Any, ...], suffix: str) -> KeyType:
     scale, zero = UNITS[suffix] if suffix else Decimal(1), ZERO_CELSIUS if suffix == "degC" else Decimal(0)
-    # Rounded to a float: a bound of pi/2 rad is 90 deg in messages and schemas, not 90.000000000000002.
+    # Rounded: a bound of pi/2 rad is 90 deg in messages and schemas, not 90.000000000000002; 233.15 K is -40 degC.
     limits = {
-        name: Decimal(repr(float((Decimal(repr(bound)) - zero) / scale))) for name, bound in _bounds(metadata).items()
+        name: Decimal(f"{float((Decimal(repr(bound)) - zero) / scale):.12g}")
+        for name, bound in _bounds(metadata).items()
     }
 
     def _write(value: float) -> Any:

@@ -20,6 +20,7 @@ from ..robots.tubes import Tube
 from ..runs.heating_study import Fabrication, TubeParts
 from ..runs.mold_study import MoldRanking
 from ..runs.workshop_file import save_rig, save_springback, save_trial, springback_to_dict
+from ..shaping.materials import MoldMaterial
 from ..shaping.mold.checks import Check, pressing_strain
 from ..shaping.mold.files import write_mold
 from ..shaping.mold.gcode import Program, clamp_distance, programs_of
@@ -312,18 +313,17 @@ RATING = described(
     Quantity("limit_degC", "temperature limit of the material", lambda r: r.material.limit_temperature_degC),
     "limit_margin",
     Quantity("conductivity_W_per_m_K", "thermal conductivity", lambda r: r.material.conductivity),
-    Quantity("density_kg_per_m3", "density", lambda r: r.material.density),
-    Quantity("heat_capacity_J_per_kg_K", "heat capacity", lambda r: r.material.heat_capacity),
+    *within([of_field(MoldMaterial, name) for name in ("density", "heat_capacity")], lambda r: r.material),
     Quantity("resistivity_ohm_m", "electrical resistivity", lambda r: r.material.resistivity),
-    Quantity("price_class", "low, moderate or high", lambda r: r.material.price_class),
+    *within([of_field(MoldMaterial, "price_class")], lambda r: r.material),
     "reasons",
-    Quantity("source", "source of its constants", lambda r: r.material.source),
+    *within([of_field(MoldMaterial, "source")], lambda r: r.material),
 )
 
 RANKING = described(
     MoldRanking,
     Quantity("outer_diameter_mm", "outer diameter of the tube", lambda a: a.tube.outer_diameter),
-    Quantity("curved_length_mm", "curved length of the tube", lambda a: a.tube.curved_length),
+    *within([of_field(Tube, "curved_length")], lambda a: a.tube),
     Quantity("set_degC", "set temperature", lambda a: a.heat.set_temperature - ZERO_CELSIUS),
     Quantity("hold_s", "hold time", lambda a: a.heat.hold_time),
     of_field(MoldRanking, "ratings", of=RATING),

@@ -16,6 +16,7 @@ from ..errors import SolveError
 from ..files.files import write_text
 from ..files.units import TO_MM
 from ..robots.passport import continue_passport
+from ..robots.tubes import Tube
 from ..runs.heating_run import HeatingRun, HeatingRunStudy
 from ..runs.heating_study import ClosedLoopHeating, Heating, Success
 from ..runs.workshop_file import rig_to_dict, save_rig
@@ -27,7 +28,9 @@ from ..shaping.heating.cutout import CutOut, SafeSupply, Short, cut_out, safe_su
 from ..shaping.heating.oven import OvenPlan, oven_csv
 from ..shaping.heating.plan import Cure, HeatingPlan, arduino_header, schedule_csv
 from ..shaping.heating.replanning import Replanner
+from ..shaping.heating.rig import Battery, Clamps, MoldBed
 from ..shaping.heating.robust import Band
+from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.thermal import uniform_gap_of
 from .quantities import Quantity, columns, described, line, of_field, within
 from .report import Drawing, Report, drawing, grid, remarks, to_text, two_columns
@@ -91,7 +94,7 @@ PLAN = described(
              label="window"),
     Quantity("limit_degC", "temperature limit of every point at all times", lambda p: p.spec.limit),
     Quantity("hold_s", "hold time", lambda p: p.spec.hold_time),
-    Quantity("slot_s", "duration of one duty-cycle value", lambda p: p.spec.slot),
+    *within([of_field(HeatingSpec, "slot")], lambda p: p.spec),
     Quantity("feasible", "true if all limits are satisfied"),
     "shortfall broken",
     line("curved part in the hold", "{lowest_degC:.1f} to {highest_degC:.1f} degC"),
@@ -113,22 +116,21 @@ PLAN = described(
     Quantity("extra_length_mm", "extra length of tube, cut off afterwards",
              text="{extra_length_mm:.1f} mm in all, to be cut off afterwards", label="extra tube"),
     "growth",
-    Quantity("clearance_mm", "bare tube between clamp and mold", lambda p: p.rig.clamps.clearance),
-    Quantity("lead_mm", "straight tube in the mold on each side", lambda p: p.rig.mold.lead),
+    *within([of_field(Clamps, "clearance")], lambda p: p.rig.clamps),
+    *within([of_field(MoldBed, "lead")], lambda p: p.rig.mold),
     Quantity("side_clearance_um", "side clearance of the tube in its groove", lambda p: p.rig.mold.play),
     Quantity("gap_um", "uniform gap that conducts as much as the air of the groove",
              lambda p: uniform_gap_of(p.tube, p.rig)),
-    Quantity("curved_length_mm", "curved part of the tube", lambda p: p.tube.curved_length),
+    *within([of_field(Tube, "curved_length")], lambda p: p.tube),
     Quantity("free_length_mm", "cold length of tube between the clamps"),
-    Quantity("vents_percent", "open part of the surface, from the end of the mold to its middle",
-             lambda p: p.rig.mold.vents),
+    *within([of_field(MoldBed, "vents")], lambda p: p.rig.mold),
     line(
         "battery",
         "{battery_V:.2f} V at rest, {energy_kJ:.2f} kJ, {peak_current_A:.0f} A while on, "
         "{mean_current_A:.1f} A on average at most",
     ),
     Quantity("battery_V", "open-circuit voltage of the battery", lambda p: p.rig.battery.voltage),
-    Quantity("state_of_charge_percent", "state of charge of the battery", lambda p: p.rig.battery.state_of_charge),
+    *within([of_field(Battery, "state_of_charge")], lambda p: p.rig.battery),
     Quantity("charge_used_percent", "charge used, of the battery's capacity", lambda p: p.charge[0] - p.charge[-1]),
     "energy peak_current mean_current",
     Quantity("mold_degC", "highest temperature of the groove's wall", lambda p: p.mold_temperature.max()),

@@ -44,7 +44,7 @@ from ...files.field_metadata import (
 from ...robots.file import TubeEntry, tube_to_dict
 from ...robots.tubes import Tube
 from ...typing import Array, StatusEnum
-from ..materials import check_temperatures
+from ..materials import AMBIENT_RANGE, check_temperatures
 from .plan import AGEING_DEGC, AIR, QUENCHED_DEGC, SHORTEST_AGEING, WATER, cooling_rate
 from .rig import MoldBed, Rig
 from .thermal import SURFACE_TRANSFER, gap_transfer, thermal_data
@@ -127,9 +127,7 @@ class Oven(Displayed):
         Range(above=0.0, maximum=2.0),
         "length of the mold; default the chord of the curved part and both leads",
     ] = None
-    ambient: Annotated[
-        float, unit("degC"), Range(minimum=ZERO_CELSIUS - 40.0, maximum=ZERO_CELSIUS + 60.0), "ambient temperature"
-    ] = 25.0 + ZERO_CELSIUS
+    ambient: Annotated[float, unit("degC"), AMBIENT_RANGE, "ambient temperature"] = 25.0 + ZERO_CELSIUS
     transfer_time: Annotated[float, unit("s"), NOT_NEGATIVE, "time in air between oven and quench"] = 15.0
     quench: Annotated[
         str, OneOf(QUENCHES), "cooling: water (tube out of the mold), water_in_mold (closed mold), or air (closed mold)"
