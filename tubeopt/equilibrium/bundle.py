@@ -14,6 +14,7 @@ import numpy as np
 from ..block.transcription.arm import ArmShape, ArmSolution, CollocationPoints, Errors, Profile
 from ..block.transcription.bundle import (
     CLOSING,
+    FELT,
     HELD,
     TO_BOUNDARY,
     VANISHING,
@@ -58,7 +59,7 @@ from .member import AnyPoint, Member, Point
 from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation
 from .result import Equilibrium
 
-SETTLE = partial(full_steps, iterations=4)
+SETTLE = partial(full_steps, iterations=8)
 """Newton's method for a state that is known but in a section without length."""
 
 RESCALED = 10.0
@@ -268,11 +269,12 @@ class Bundled(Member[BundleState]):
         return evaluate(self.problem, self.rotations, x, self.factor)
 
     def largest_rotation(self, state: BundleState, step: Array) -> float:
-        """Largest rotation (rad) of a tube or of the arm by a step."""
+        """Largest rotation (rad) of a tube or of the arm by a step; held sections count as if they were longer."""
         problem = state.problem
         change = problem.push(step)
         arm = problem.up_to @ change[:, -3:-1]
-        return max(float(np.abs(change[:, : problem.n]).max()), float(np.abs(arm).max()))
+        held = change[np.isin(problem.point_section, problem.held), problem.n : -1] * (FELT / HELD)
+        return max(float(np.abs(part).max(initial=0.0)) for part in (change[:, : problem.n], arm, held))
 
     def residual(self, state: BundleState) -> float:
         """Largest violation of the equations, as an error of theta or of the arm's direction, rad."""

@@ -56,6 +56,9 @@ SAME_PLACE = 1e-9
 HELD = 1e-12
 """Length (m) of the sections between boundaries that stay together."""
 
+FELT = 1e-8
+"""Length (m) as which a held section counts in the size of a step: its own would hide an unsettled curvature."""
+
 VANISHING = 1e-10
 """Length (m) of an element below which its section counts as vanishing."""
 

@@ -601,11 +601,13 @@ static double slope_of(const Layout *l, const Functional *by, const Step *step) 
     return out;
 }
 
-/* The largest rotation of a tube or of the arm by a step, rad. */
+/* The largest rotation of a tube or of the arm by a step, rad; held sections count as if they were as long as FELT. */
 static double size_of(const Layout *l, const Step *step) {
     int k = l->rule->degree;
     double out = 0, arm[2] = {0};
     for (int x = 0; x < l->points; x++) {
+        if (l->held[l->section[x / k]])
+            out = fmax(out, FELT / HELD * fmax(largest(step->turn[x], N), largest(step->bend[x], 2)));
         out = fmax(out, fmax(largest(step->theta[x], N), largest(step->turn[x], N)));
         for (int c = 0; c < 2; c++) arm[c] += l->rule->weights[x % k] * step->bend[x][c];
         out = fmax(out, largest(arm, 2));

@@ -15,6 +15,7 @@ from ...block.transcription.arm import ArmSolution, CollocationPoints, Errors, g
 from ...block.transcription.bundle import (
     CLOSING,
     ELEMENT,
+    FELT,
     HELD,
     SAME_PLACE,
     TO_BOUNDARY,
@@ -71,6 +72,7 @@ def bundle_source(n: int) -> str:
         "LEAST_STIFFNESS": LEAST_STIFFNESS,
         "ELEMENT": ELEMENT,
         "HELD": HELD,
+        "FELT": FELT,
         "SAME_PLACE": SAME_PLACE,
         "CLOSING": CLOSING,
         "VANISHING": VANISHING,
