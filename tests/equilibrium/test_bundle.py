@@ -36,7 +36,6 @@ from tubeopt import (
     plan_trajectory,
     snap_free_certificate,
     stability_map,
-    trace_branch,
     verify_trajectory,
 )
 from tubeopt.block.transcription.bundle import BundleState, length_forces
@@ -738,8 +737,6 @@ def test_what_a_bundle_does_not_support_is_named(uneven: Any) -> None:
     robot, alpha, shift, _ = uneven
     with pytest.raises(InputError, match="fk finds one, follow leads to others"):
         find_equilibria(robot, alpha, shift)
-    with pytest.raises(InputError, match="follow leads to the first"):
-        trace_branch(robot, alpha, alpha + 1.0, shift)
     with pytest.raises(InputError, match=r"must be at least 0\.002 m apart"):
         BundleRobot(robot.tubes[:2], (0.0005, 0.0005), (0.0, np.pi))
     with pytest.raises(InputError, match="offset has 1 numbers; it must have 3"):

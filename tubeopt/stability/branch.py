@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
+from ..block.transcription.bundle import CLOSING, exchanged, holding_forces, opened, rearranged
 from ..display import Displayed
+from ..equilibrium.bundle import SETTLE, Bundled
 from ..equilibrium.continuation import Family, SampledJointPath, path_rates
 from ..equilibrium.kinematics import forward_kinematics, point_of, to_equilibrium
-from ..equilibrium.member import PlainPoint, Point, Unloaded
+from ..equilibrium.member import AnyPoint, Member, Point
 from ..equilibrium.result import Equilibrium, refuse_load
 from ..errors import InputError, SolveError, positive, vector
 from ..robots.limits import check_turn
@@ -43,6 +47,22 @@ class Branch(Displayed):
 MAX_POINTS = 4000
 """Maximum number of points of a branch."""
 
+FIRST_SECANT = 1e-3
+"""First step along a branch to a place on it."""
+
+UP_TO_MEETING = 0.8
+"""Fraction of the way to a place where a section of a bundle closes that a step goes."""
+
+OPEN = 1e-6
+"""Length (m) of the elements of a section where it begins."""
+
+# Forces on sections without length have a round-off of about 1e-7 N.
+MET = 1e-7
+"""Step along a branch below which a place on it is found."""
+
+NO_RIDGE = 1e-6
+"""Force (N) on the length of a section below which the energy is smooth there."""
+
 
 @typed
 @small
@@ -69,7 +89,7 @@ def trace_branch(
         time_limit: maximum run time, s.
 
     Raises:
-        InputError: wrong number of joint values, equal start and end, a step that is not positive, a bundle.
+        InputError: wrong number of joint values, equal start and end, a step that is not positive.
         SolveError: the branch could not be followed.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
@@ -81,8 +101,6 @@ def trace_branch(
         >>> len(branch.folds)
         2
     """
-    if not robot.fixed_sections:
-        raise InputError("kind is bundle; its branch is not traced through folds, follow leads to the first")
     shift = shifts(robot, translations)
     alpha, beta = vector("start", start, robot.n_tubes), vector("end", end, robot.n_tubes)
     check_turn(np.stack([alpha, beta]))
@@ -103,89 +121,225 @@ def trace_branch(
     )
 
 
-def _continue(family: Family, start: PlainPoint, first_step: float) -> tuple[list[PlainPoint], list[PlainPoint]]:
-    """Points on the branch, and those at folds, from t = 0 until t leaves [0, 1].
+@dataclass(frozen=True, eq=False)
+class _Curve:
+    """Equilibria at the rotations of a path, with unknowns (x, t scale).
 
-    Unknowns are (x, t scale), with t measured in radians of the joint that turns most, so that all have one size.
+    t is measured in radians of the joint that turns most, so that all unknowns have one size.
     """
-    path, known = family.path, start.member
-    n, scale, factor = path.robot.n_tubes, float(np.abs(path.end - path.start).max()), known.problem.factor
 
-    def member(t: float) -> Unloaded:
+    family: Family
+
+    @property
+    def scale(self) -> float:
+        """Rotation (rad) of the joint that turns most."""
+        return float(np.abs(self.family.path.end - self.family.path.start).max())
+
+    def member(self, known: Member[Any], t: float) -> Any:
+        """Equations with the unknowns of known ones, at t, which may lie beyond the path."""
+        path, n = self.family.path, known.robot.n_tubes
         return replace(known, rotations=path.start[:n] + t * (path.end - path.start)[:n])
 
-    def system(unknowns: Array) -> tuple[Array, Array]:
-        """Residual (U,) and its Jacobian (U, U + 1); the column of t is a central difference."""
-        t, x = unknowns[-1] / scale, unknowns[:-1]
-        state, rates = member(t).at(x), path_rates(lambda t: member(t).at, x, t)
+    def system(self, known: Member[Any], unknowns: Array) -> tuple[Any, Array]:
+        """State, and Jacobian (U, U + 1) of its residual; the column of t is a central difference."""
+        t, x = float(unknowns[-1]) / self.scale, unknowns[:-1]
+        state, rates = self.member(known, t).at(x), path_rates(lambda t: self.member(known, t).at, x, t)
         assert rates is not None
-        return state.gradient, np.column_stack([state.hessian, rates.gradient / scale])
+        return state, np.column_stack([state.hessian, rates.gradient / self.scale])
 
-    def largest_turn(step: Array) -> float:
-        return float(np.abs(factor @ step[:-1]).max(initial=0.0))
+    def unknowns(self, point: AnyPoint) -> Array:
+        """Unknowns (U + 1,) of a point."""
+        return np.append(point.state.x, point.t * self.scale)
 
-    unknowns, step = np.append(start.state.x, 0.0), first_step
-    tangent = _tangent(system(unknowns)[1], np.append(np.zeros(len(unknowns) - 1), 1.0))
-    points, folds = [start], list[PlainPoint]()
+    def tangent(self, point: AnyPoint, towards: Array) -> Array:
+        """Unit vector (U + 1,) along the curve, to the side of `towards`."""
+        jacobian = self.system(point.member, self.unknowns(point))[1]
+        tangent: Array = np.linalg.solve(np.vstack([jacobian, towards]), np.append(np.zeros(len(jacobian)), 1.0))
+        return tangent / np.linalg.norm(tangent)
+
+    def corrected(self, known: Member[Any], guess: Array, across: Array) -> tuple[AnyPoint, bool] | None:
+        """Point in the plane of a guess across a direction, by Newton's method; and True if that took few iterations.
+
+        None if it converges slowly: a shorter step stays on the same branch, a slow one may have left it.
+        """
+        direction, x, last = across / np.linalg.norm(across), guess, np.inf
+        for iteration in range(7):
+            state, jacobian = self.system(known, x)
+            change = np.linalg.solve(np.vstack([jacobian, direction]), -np.append(state.gradient, 0.0))
+            angle = known.largest_rotation(state, change[:-1])
+            if not angle <= min(0.5 * last, 0.3):
+                return None
+            x, last = x + change, angle
+            if angle < 1e-9:
+                t = float(x[-1]) / self.scale
+                return Point.at(self.member(known, t), x[:-1], t), iteration <= 2
+        return None
+
+    def at(self, known: Member[Any], x: Array, t: float) -> AnyPoint | None:
+        """Point at t close to unknowns x (U,); None if it is not found."""
+        found = self.corrected(known, np.append(x, t * self.scale), np.append(np.zeros(len(x)), 1.0))
+        return None if found is None else found[0]
+
+    def root(self, point: AnyPoint, tangent: Array, value: Callable[[AnyPoint], float]) -> AnyPoint | None:
+        """Point close to another one at which a value is 0, by the secant method along the curve."""
+        start, s, ahead, here = self.unknowns(point), 0.0, FIRST_SECANT, value(point)
+        for _ in range(20):
+            found = self.corrected(point.member, start + ahead * tangent, tangent)
+            if found is None:
+                return None
+            there = value(found[0])
+            if there == here or abs(ahead - s) < MET:
+                return found[0]
+            s, ahead, here = ahead, ahead - there * (ahead - s) / (there - here), there
+        return None
+
+
+def _continue(family: Family, start: AnyPoint, first_step: float) -> tuple[list[AnyPoint], list[AnyPoint]]:
+    """Points on the branch, and those at folds, from t = 0 until t leaves [0, 1]."""
+    curve, point, step = _Curve(family), start, first_step
+    tangent = curve.tangent(start, np.append(np.zeros(len(start.state.x)), 1.0))
+    points, folds = [start], list[AnyPoint]()
     while len(points) < MAX_POINTS:
-        angle = max(largest_turn(tangent), abs(float(tangent[-1])))
-        corrected = _correct(system, largest_turn, unknowns, tangent * (step / angle))
-        if corrected is None:
-            step /= 2
-            if step < 1e-8:
-                raise SolveError(f"the branch was lost at {100 * unknowns[-1] / scale:.3f} % of the path")
-            continue
-        unknowns, easily = corrected
-        t, next_tangent = float(unknowns[-1]) / scale, _tangent(system(unknowns)[1], tangent)
-        point = Point.at(member(t), unknowns[:-1], t)
-        # At a fold the branch turns back: t begins to fall along it, or to rise again.
-        if next_tangent[-1] * tangent[-1] < 0:
-            turning = fold(family, point)
-            if turning is not None:
-                folds.append(turning.point)
-                points.append(turning.point)
-        if not 0.0 <= t <= 1.0:
-            points.append(_at_end(family, points[-1], point))
-            break
-        tangent = next_tangent
-        points.append(point)
-        step = min(2 * first_step, step * (1.5 if easily else 1.0))
+        length = step / max(point.member.largest_rotation(point.state, tangent[:-1]), abs(float(tangent[-1])))
+        length, closing = _up_to_meeting(point, tangent, length)
+        met, after = None if closing is None else _closed(curve, point, closing), point
+        if met is None:
+            found = curve.corrected(point.member, curve.unknowns(point) + length * tangent, tangent)
+            if found is None:
+                step /= 2
+                if step < 1e-8:
+                    raise _lost(point)
+                continue
+            after, easily = found
+            step = min(2 * first_step, step * (1.5 if easily else 1.0))
+            met = _separated(curve, point, after, tangent)
+        if met is None:
+            point, last = _rescaled(after), point
+            secant = curve.unknowns(point) - np.append(point.member.transfer(last), last.t * curve.scale)
+            towards = curve.tangent(point, secant)
+            turning = fold(family, point) if towards[-1] * tangent[-1] < 0 else None
+            passed = [point] if turning is None else [turning.point, point]
+        else:
+            (*passed, point), towards = met
+            passed.append(point)
+        # At a fold, or where ends of tubes meet, the branch turns back: t begins to fall along it, or to rise again.
+        if towards[-1] * tangent[-1] < 0 and (met is not None or len(passed) > 1):
+            folds.append(passed[0])
+        if not 0.0 <= point.t <= 1.0:
+            end = curve.at(point.member, point.state.x, 0.0 if point.t < 0 else 1.0)
+            return [*points, *passed[:-1], *([] if end is None else [end])], folds
+        points += passed
+        tangent = towards
     return points, folds
 
 
-def _at_end(family: Family, inside: PlainPoint, outside: PlainPoint) -> PlainPoint:
-    """Point where the branch crosses the end of the path, between two points of it."""
-    t = 0.0 if outside.t < 0 else 1.0
-    fraction = (t - inside.t) / (outside.t - inside.t)
-    member = replace(inside.member, rotations=family.path.at(t)[0])
-    result = member.solve(inside.state.x + fraction * (outside.state.x - inside.state.x))
-    return Point.of(member, result, t) if result.converged else inside
+def _lost(point: AnyPoint) -> SolveError:
+    """Error where a branch cannot be followed."""
+    return SolveError(f"the branch was lost at {100 * point.t:.3f} % of the path")
 
 
-def _tangent(jacobian: Array, previous: Array) -> Array:
-    """Unit vector (U + 1,) along the branch, in the direction of the tangent before."""
-    tangent: Array = np.linalg.solve(np.vstack([jacobian, previous]), np.append(np.zeros(len(jacobian)), 1.0))
-    return tangent / np.linalg.norm(tangent)
+# --- Where ends of tubes meet -----------------------------------------------------------------------------------------
+
+# A branch of a bundle reaches the place where a section closes with no force on its length. From there the boundaries
+# at its ends stay together, with the forces a and b by which a section of the one and of the other order resists being
+# opened. Where both are positive the arm rests there, where both are negative it stands on a ridge of the energy. So
+# the branch goes on from a = 0 to the side where a has the sign of b, until b = 0, where the other order begins.
 
 
-def _correct(
-    system: Callable[[Array], tuple[Array, Array]],
-    largest_turn: Callable[[Array], float],
-    unknowns: Array,
-    step: Array,
-) -> tuple[Array, bool] | None:
-    """Point of the branch in the plane across a step, by Newton's method; and True if that took few iterations.
+def _up_to_meeting(point: AnyPoint, tangent: Array, length: float) -> tuple[float, int | None]:
+    """Length of a step on which no section of a bundle closes, and the section that does if it is short already."""
+    if not isinstance(point.member, Bundled):
+        return length, None
+    problem = point.member.problem
+    h = problem.lengths(point.state.x)
+    rate = problem.lengths_by_bend @ (problem.bend_map @ tangent[problem.split : -1])
+    to_go = np.divide(-h, rate, out=np.full(len(h), np.inf), where=rate < 0)
+    to_go[[*problem.held]] = np.inf
+    section = int(np.argmin(to_go))
+    if to_go[section] > length / UP_TO_MEETING:
+        return length, None
+    return min(length, UP_TO_MEETING * float(to_go[section])), section if h[section] < CLOSING else None
 
-    None if it converges slowly: a shorter step stays on the same branch, a slow one may have left it.
-    """
-    direction, x, last = step / np.linalg.norm(step), unknowns + step, np.inf
-    for iteration in range(7):
-        residual, jacobian = system(x)
-        change = np.linalg.solve(np.vstack([jacobian, direction]), -np.append(residual, 0.0))
-        angle = largest_turn(change)
-        if angle > 0.5 * last or angle > 0.3:
-            return None
-        x, last = x + change, angle
-        if angle < 1e-9:
-            return x, iteration <= 2
+
+def _closed(curve: _Curve, point: AnyPoint, section: int) -> tuple[list[AnyPoint], Array]:
+    """Point at which a section has closed, or passed to the other order, with the tangent from there."""
+    state = point.state
+    if section == 0 or {section - 1, section + 1} & set(state.problem.held):
+        raise SolveError(f"at {100 * point.t:.3f} % of the path three ends of tubes meet; a branch is traced past two")
+    problem, x = rearranged(state, state.problem.order, tuple(sorted({*state.problem.held, section})))
+    held = curve.at(replace(point.member, problem=problem), x, point.t)
+    tangent = None if held is None else curve.tangent(held, np.append(np.zeros(len(x)), 1.0))
+    root = None if held is None or tangent is None else curve.root(held, tangent, partial(_holding, section))
+    if root is None or tangent is None:
+        raise _lost(point)
+    beyond = _holding(section, root, exchange=True)
+    if abs(beyond) < NO_RIDGE:
+        begun, tangent = _opened(curve, root, section, exchange=True)
+        return [begun], tangent
+    tangent = curve.tangent(root, tangent)
+    ahead = curve.corrected(root.member, curve.unknowns(root) + FIRST_SECANT * tangent, tangent)
+    if ahead is None:
+        raise _lost(point)
+    rises = np.sign(_holding(section, ahead[0]) - _holding(section, root)) * np.sign(beyond)
+    # The margin is that of the order that ends here: together the boundaries are stiffer.
+    margin = _opened(curve, root, section, exchange=False)[0].margin
+    return [replace(root, margin=margin)], tangent * rises
+
+
+def _separated(curve: _Curve, before: AnyPoint, after: AnyPoint, tangent: Array) -> tuple[list[AnyPoint], Array] | None:
+    """Points where boundaries that are together separate and behind that, with the tangent; None if none separate."""
+    for section in before.member.problem.held if isinstance(before.member, Bundled) else ():
+        for exchange in (True, False):
+            force = partial(_holding, section, exchange=exchange)
+            if abs(force(before)) > NO_RIDGE and force(before) * force(after) <= 0:
+                root = curve.root(before, tangent, force)
+                if root is None:
+                    raise _lost(before)
+                begun, along = _opened(curve, root, section, exchange=exchange)
+                return [_rescaled(root, ridge=force(before) < 0), begun], along
     return None
+
+
+def _holding(section: int, point: AnyPoint, *, exchange: bool = False) -> float:
+    """Force (N) by which a closed section resists being opened, in the order of its boundaries or in the other one."""
+    state = _exchanged(point, section).state if exchange else point.state
+    return float(holding_forces(state)[state.problem.held.index(section)])
+
+
+def _exchanged(point: AnyPoint, section: int) -> AnyPoint:
+    """Same point with the boundaries of a closed section in the other order."""
+    problem, x = exchanged(point.state, section, hold=True)
+    member = replace(point.member, problem=problem)
+    result = SETTLE(member.at(x), member.advanced, member.largest_rotation, member.residual)
+    if not result.converged:
+        raise _lost(point)
+    return Point(point.t, member, result.state, point.margin)
+
+
+def _opened(curve: _Curve, point: AnyPoint, section: int, *, exchange: bool) -> tuple[AnyPoint, Array]:
+    """Point at which a closed section has the length OPEN, in the order of its boundaries or in the other one."""
+    closed = _exchanged(point, section) if exchange else point
+    known = closed.state.problem
+    problem, x = rearranged(closed.state, known.order, tuple(k for k in known.held if k != section))
+    member = replace(closed.member, problem=problem)
+    start = member.at_scale(opened(problem, x, OPEN))
+    member = member.owner(start)
+    longer = member.problem.lengths_by_bend[section] @ member.problem.bend_map
+    across = np.concatenate([np.zeros(member.problem.split), longer, np.zeros(1)])
+    found = curve.corrected(member, np.append(start.x, point.t * curve.scale), across)
+    if found is None:
+        raise _lost(point)
+    return found[0], curve.tangent(found[0], across)
+
+
+def _rescaled(point: AnyPoint, *, ridge: bool | None = None) -> AnyPoint:
+    """Same point, of a bundle in unknowns that are whitened for the lengths of its sections.
+
+    Its margin is minus infinity on a ridge of the energy.
+    """
+    if not isinstance(point.member, Bundled):
+        return point
+    state = point.member.at_scale(point.state.x)
+    if ridge is None:
+        ridge = any(max(_holding(k, point), _holding(k, point, exchange=True)) < 0 for k in state.problem.held)
+    return Point(point.t, point.member.owner(state), state, -np.inf if ridge else point.margin)

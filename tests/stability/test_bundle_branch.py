@@ -1,0 +1,68 @@
+"""Branches of bundles through folds, and through places where ends of tubes meet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.equilibrium.test_bundle import long_bundle
+from tubeopt import BundleRobot, ConcentricRobot, EccentricRobot, find_snap, load_robot, trace_branch
+from tubeopt.equilibrium.kinematics import unsolved
+
+
+def test_without_offsets_it_is_the_branch_of_nested_tubes() -> None:
+    nested = load_robot("two_tube")
+    assert isinstance(nested, ConcentricRobot)
+    bundle, turn = BundleRobot(nested.tubes, (0.0,) * 2, (0.0,) * 2), np.radians([360.0, 0.0])
+    mine, known = (trace_branch(each, [0.0, 0.0], turn, nested.home_translations) for each in (bundle, nested))
+    assert len(known.folds) == 2
+    for one, other in zip(mine.folds, known.folds, strict=True):
+        assert one.rotations == pytest.approx(other.rotations, abs=1e-8)
+
+
+def test_a_branch_turns_at_its_folds_and_mirrors_itself() -> None:
+    robot, start, end = long_bundle(), np.radians([30.0, 205.0, 30.0]), np.radians([30.0, 215.0, 30.0])
+    branch, snap = trace_branch(robot, start, end), find_snap(robot, (start, None), (end, None))
+    assert snap is not None
+    there, back = branch.folds
+    assert there.rotations == pytest.approx(snap.rotations, abs=1e-9)
+    assert there.rotations[1] + back.rotations[1] == pytest.approx(np.radians(420.0), abs=1e-9)
+    assert branch.margin.min() < -1e-3
+    beyond = robot.fk(end, start=snap.after)
+    assert branch.tip_rotations[-1] == pytest.approx(beyond.tip_rotations, abs=1e-8)
+
+
+def test_a_branch_crosses_a_ridge_where_ends_meet() -> None:
+    """Two stable parts, and between them the order of the ends changes while the arm stands on a ridge."""
+    thesis = load_robot("thesis_etr")
+    assert isinstance(thesis, EccentricRobot)
+    slender = replace(thesis.tube, outer_diameter=1.421e-3, inner_diameter=1.162e-3, curvature=13.98)
+    robot = replace(thesis, tube=slender, offset=1.31e-3).bundle()
+    start = np.radians([-125.85, 48.13, 19.81])
+    end = np.radians([-137.05, 63.95, 59.29])
+    branch, snap = trace_branch(robot, start, end), find_snap(robot, (start, None), (end, None))
+    assert snap is not None
+    there, back = branch.folds
+    assert there.rotations == pytest.approx(snap.rotations, abs=1e-7)
+    assert there.margin > 0.1
+    assert branch.tip_rotations[-1] == pytest.approx(robot.fk(end).tip_rotations, abs=1e-8)
+    ridge = np.flatnonzero(np.isneginf(branch.margin))
+    assert len(ridge) >= 1
+    assert (np.delete(branch.margin, ridge) > 0).all()
+    for pose in (there, back):
+        member, x = unsolved(pose)
+        assert member.residual(member.at(x)) < 1e-9
+    # Motion back along the second part holds up to its end, and no farther.
+    ends_at = float((back.rotations - start) @ (end - start) / ((end - start) @ (end - start)))
+    pose = robot.fk(end)
+    for t in (0.9, 0.8, 0.7, 0.65, 0.6, 0.56, 0.53, 0.51, 0.49, 0.48, 0.475, ends_at + 1e-5):
+        pose = robot.fk(start + t * (end - start), start=pose)
+    beyond = robot.fk(start + (ends_at - 1e-5) * (end - start), start=pose)
+    assert np.linalg.norm(pose.tip_position - back.tip_position) < 5e-6
+    assert np.linalg.norm(beyond.tip_position - pose.tip_position) > 2.5e-3
+    # The other way the branch is the same, and so are its folds.
+    reverse = trace_branch(robot, end, start)
+    assert reverse.folds[0].rotations == pytest.approx(back.rotations, abs=1e-6)
+    assert reverse.folds[1].rotations == pytest.approx(there.rotations, abs=1e-6)
