@@ -267,6 +267,21 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
     assert (tmp_path / "robot.yaml").exists()
 
 
+def test_tubes_of_a_robot_are_heated_by_one_circuit(run: Run, tmp_path: Path) -> None:
+    """Pulses and scale of the current sensor are the same in the sketches of all tubes; schedules are not."""
+    robot = str(ROOT / "configs" / "robots" / "two_tube.yaml")
+    flags = ("--rig", RIG, "--out", str(tmp_path), "--samples", "20", "--charges-percent", "none")
+    run("fabricate", robot, *flags, "--objective", "time", "--hold-s", "5")
+    boards, schedules = (
+        {path.read_text(encoding="utf-8") for path in tmp_path.glob(f"tube_*/firmware/tube_heater/{name}.h")}
+        for name in ("board", "schedule")
+    )
+    lines = [{line for line in text.splitlines() if re.search("PWM_HZ|AMPERE_PER_STEP", line)} for text in boards]
+    assert [len(each) for each in lines] == [2] * len(boards)
+    assert len(set.union(*lines)) == 2
+    assert len(schedules) == 2
+
+
 @pytest.mark.parametrize("words", [("heat", "plan"), ("heat", "calibrate"), ("fabricate",)])
 def test_help_has_an_example(run: Run, words: tuple[str, ...]) -> None:
     assert f"Example: tubeopt {words[0]}" in run(*words, "--help").out

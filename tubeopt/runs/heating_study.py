@@ -17,7 +17,16 @@ from ..files.field_metadata import key
 from ..files.fields import build_from, keys_from
 from ..robots.robot import Robot
 from ..robots.tubes import Tube
-from ..shaping.firmware.boards import BOARDS, CONVERTERS, READS, Wiring, converter_for, hall_slope, with_pulses
+from ..shaping.firmware.boards import (
+    BOARDS,
+    CONVERTERS,
+    READS,
+    Wiring,
+    converter_for,
+    hall_slope,
+    pwm_frequency,
+    with_pulses,
+)
 from ..shaping.heating.calibration import BIAS, FACTORS, HeatingLog, RigFit, calibrate
 from ..shaping.heating.controller import ENOUGH, Feedback, wilson
 from ..shaping.heating.cutout import stop_current
@@ -450,6 +459,13 @@ class TubeParts:
     led: ClosedLoopHeating | None = None
     """Firmware of the heating; None without a sensor that a sketch reads."""
 
+    def with_firmware(self, wiring: Wiring) -> TubeParts:
+        """A copy with the firmware for a wiring, of a heating with a sensor."""
+        plan = self.heating.plan
+        assert plan.feedback is not None
+        frequency = plan.rig.circuit.pwm_frequency
+        return replace(self, led=ClosedLoopHeating(plan, plan.feedback, wiring, frequency))
+
 
 @dataclass(frozen=True, eq=False)
 class Fabrication(Displayed):
@@ -519,19 +535,21 @@ class FabricationStudy(Timed):
         spec = spec if self.hold_s is None else replace(spec, hold_time=self.si("hold_s"))
         charges, sensor, wiring = self.si("charges_percent"), self._sensor(), self._wiring()
         chosen, left_out = chosen_tubes(self.robot)
-        parts = []
+        rig, parts = equipped(self.rig, sensor), []
+        # One circuit heats all tubes: its pulses are those of the tube that a shorted switch heats fastest.
+        frequency = max(pwm_frequency(wiring, replace(rig, tube=self.robot.tubes[number - 1])) for number in chosen)
+        rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
         for k, number in enumerate(chosen):
             if progress is not None:
                 progress(k, len(chosen))
-            tube = self.robot.tubes[number - 1]
-            rig = with_pulses(equipped(self.rig, sensor), tube, wiring)
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-            fabrication = plan_tube(tube, rig, mold_spec, spec, number=number)
+            fabrication = plan_tube(self.robot.tubes[number - 1], rig, mold_spec, spec, number=number)
             mold = RobotMold(fabrication.mold, self.robot.name, ())
             heating = evaluate_heating(fabrication.heating, charges, samples=self.samples, sensor=sensor)
-            feedback, led = heating.plan.feedback, None
-            if feedback is not None and self.sensor in READS:
-                hall_slope(wiring, stop_current(heating.plan.tube, heating.plan.rig))
-                led = ClosedLoopHeating(heating.plan, feedback, wiring, rig.circuit.pwm_frequency)
-            parts.append(TubeParts(number, fabrication, mold, heating, led))
+            parts.append(TubeParts(number, fabrication, mold, heating))
+        if self.sensor in READS:
+            plans = [part.heating.plan for part in parts]
+            slope = min(hall_slope(wiring, stop_current(plan.tube, plan.rig)) for plan in plans)
+            wiring = replace(wiring, shunt_V_per_A=slope)
+            parts = [part.with_firmware(wiring) for part in parts]
         return Fabrication(self.robot, tuple(parts), tuple(left_out))

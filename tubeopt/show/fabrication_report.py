@@ -153,11 +153,13 @@ class MoldReport(Report[RobotMold]):
         from .plots.sheets import plot_hole_sheet, plot_setup_sheet
 
         mold, paths = self.answer.mold, [self.save_record(directory), *write_mold(self.answer.mold, directory)]
+        numbers = ", ".join(str(groove.number) for groove in mold.grooves)
+        title = f"{self.answer.name or 'robot'}, tube {numbers}"
         paths.append(directory / "setup.pdf")
-        plot_setup_sheet(mold, paths[-1], title=self.answer.name)
+        plot_setup_sheet(mold, paths[-1], title=title)
         for part in PARTS:
             paths.append(directory / f"{part}_holes.pdf")
-            plot_hole_sheet(mold, paths[-1], part=part, title=self.answer.name)
+            plot_hole_sheet(mold, paths[-1], part=part, title=title)
         return paths
 
     def pictures(self) -> dict[str, Drawing]:

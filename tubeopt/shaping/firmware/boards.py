@@ -329,9 +329,10 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         f"for {board.reference:g} V, fed by the board; its minus leg (magnetic) at T-; CS {board.pin('select')}, "
         f"CLK {board.pin('clock')}, DO {board.pin('data')}"
     )
+    couple = "thermocouple type K 0.25 mm, butt-welded, its junction insulated"
     sensor = {
-        "max31855": f"thermocouple type K 0.25 mm, its bead insulated, with MAX31855 on a module {module}",
-        "max6675": f"thermocouple type K 0.25 mm, its bead insulated, with MAX6675 on a module {module}",
+        "max31855": f"{couple}, with MAX31855 on a module {module}",
+        "max6675": f"{couple}, with MAX6675 on a module {module}",
         "analog": f"0 to {board.reference:g} V line of a camera or amplifier",
     }[wiring.converter]
     charged = CHARGED * rig.battery.open_circuit[-1][1]

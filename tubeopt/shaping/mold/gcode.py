@@ -172,7 +172,8 @@ def programs(mold: Mold, part: str) -> list[Program]:
         InputError: a program takes too long.
         SolveError: a program, read back, has a hazardous move.
     """
-    stages, title = stages_of(mold, part), f"{part} of a mold, {mold.spec.material.name}"
+    stages, numbers = stages_of(mold, part), ", ".join(str(groove.number) for groove in mold.grooves)
+    title = f"{part}, mold of tube {numbers}, {mold.spec.material.name}"
     zero = ["zero: lower left corner and upper face of the plate"]
     if part == "lid" and mold.slots:
         zero = [

@@ -12,6 +12,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...shaping.firmware.boards import cable_of, fuse_of, root_mean_square
+from ...shaping.firmware.sketch_files import CHARGES
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import LEFT, HeatingPlan, left_in_mold
 from ...shaping.heating.sensors import Thermocouple
@@ -508,11 +509,10 @@ def torque_of(hole: float, material: MoldMaterial) -> float:
     return 0.2 * force * nominal
 
 
-def tightening_text(hole: float, material: MoldMaterial) -> str:
-    """Washers and torque of the screw of a clearance hole (m), as text."""
-    torque = torque_of(hole, material)
-    by_hand = ", finger-tight, since more crushes the board" if material.electrically_insulating else ""
-    return f"flat washers (ISO 7089) under head and nut, at most {torque:.1g} N m{by_hand}"
+def torque_text(hole: float, material: MoldMaterial) -> str:
+    """Torque of the screw of a clearance hole (m), as text."""
+    torque = f"at most {torque_of(hole, material):.1g} N m"
+    return f"finger-tight ({torque}: more crushes the board)" if material.electrically_insulating else torque
 
 
 def mold_steps(mold: Mold) -> list[str]:
@@ -596,7 +596,8 @@ def _fasteners(mold: Mold) -> str:
         length = max((each for each in PIN_LENGTHS if each <= grip * TO_MM), default=PIN_LENGTHS[0])
         return (
             f"{bolts} bolts {bolt} with nuts, holes {plate.bolt_diameter * TO_MM:g} mm; "
-            f"{tightening_text(plate.bolt_diameter, mold.spec.material)}. 2 dowels {pin:g} m6 × "
+            "flat washers (ISO 7089) under head and nut, "
+            f"{torque_text(plate.bolt_diameter, mold.spec.material)}. 2 dowels {pin:g} m6 × "
             f"{length}: drilled {pin - REAMED * TO_MM:g} mm, reamed {pin:g} {DOWEL_FITS['base']} in the base (pins "
             f"stay) and {pin:g} {DOWEL_FITS['lid']} in the lid (it slides)"
         )
@@ -605,10 +606,10 @@ def _fasteners(mold: Mold) -> str:
     return (
         f"{len(hinge.on_lid) // 2} hinges: {len(hinge.on_lid)} screws {screw_text(screw, plate.lid_thickness + leaf)} "
         f"in the lid, {len(hinge.on_strip)} screws {screw_text(screw, grip + leaf)} through strip and base, "
-        f"countersunk {countersink_text(screw)}. Heads in the lower faces of lid and base, at most "
-        f"{torque_of(screw, mold.spec.material):.1g} N m. {len(hinge.latches)} latches: "
+        f"countersunk {countersink_text(screw)}. Heads in the lower faces of lid and base, "
+        f"{torque_text(screw, mold.spec.material)}. {len(hinge.latches)} latches: "
         f"bolts {bolt}, holes {plate.bolt_diameter * TO_MM:g} mm, "
-        f"in the lid {mold.spec.hinge.latch_diameter * TO_MM:g} mm (piloted), finger-tight"
+        f"in the lid {mold.spec.hinge.latch_diameter * TO_MM:g} mm (piloted)"
     )
 
 
@@ -630,9 +631,9 @@ def _slot_steps(mold: Mold) -> list[str]:
     wire = mold.spec.slot.wire * TO_MM
     return [
         f"Mill the lid with its lower face up, as drawn (mirrored programs): its zero is the lower right corner of the "
-        f"closed mold. A thermocouple of {wire:g} mm goes into its slot: bead in the middle, a leg "
-        "to each side, out by the holes at its ends. Cement the bead and 3 mm of each leg flush; insulate them by "
-        "mica of 0.05 mm.",
+        f"closed mold. A thermocouple of {wire:g} mm goes into its slot: junction in the middle, butt-welded since no "
+        "bead fits, a leg to each side, out by the holes at its ends. Cement (ceramic) the junction and 3 mm of each "
+        "leg flush; insulate them by mica of 0.05 mm.",
     ][: len(mold.slots)]
 
 
@@ -838,10 +839,11 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
     if plan.feedback is None:
         voltage += "With another voltage take its own schedule (heating/schedule_..V), not this one."
     else:
-        voltage += "Down to 60 % charge the board takes the schedule of the voltage that it measures."
+        emptiest = plan.rig.with_charge(CHARGES[-1]).battery.voltage
+        voltage += f"Down to {emptiest:.2f} V the board takes the schedule of the voltage that it measures."
     thermometer = [
-        "Thermocouple: bead on the middle of the bend (set-up sheet), insulated: above 1 Mohm to the tube. The board "
-        "reads room temperature; warm the bead: the reading must rise, or its legs are swapped."
+        "Thermocouple: junction on the middle of the bend (set-up sheet), above 1 Mohm to the tube. The board reads "
+        "room temperature; warm the junction: the reading must rise, or its legs are swapped."
     ]
     sensed = plan.feedback is not None and isinstance(plan.feedback.sensor, Thermocouple)
     return [
@@ -869,7 +871,8 @@ def running(fabrication: TubeFabrication) -> list[str]:
         ]
     law = plan.feedback.law
     return [
-        "Wire as firmware/wiring.png; load firmware/tube_heater onto the board. It is for this tube alone.",
+        "Wire as firmware/wiring.png; for all tubes of a robot take the larger rating of each part, but the fuse of "
+        "each tube. Load firmware/tube_heater onto the board: each tube has its own.",
         f"Every day: test the cut-out, `tubeopt heat run {port} --test-cutout`; then a dry run, with `--dry`.",
         f"`tubeopt heat run {port} --out .` in the folder of this sheet. Its start checks switch, cut-out and the "
         "current of one pulse.",
