@@ -109,6 +109,7 @@ CALLS: dict[str, Call] = {
     "drive_loads": (tubeopt.drive_loads, lambda: {"equilibrium": home()}),
     "drives_along": (tubeopt.drives_along, _joints(rotations=[[0.0, 0.0], [0.0, 0.3]])),
     "drives_at": (tubeopt.drives_at, _joints(rotations=[[0.0, 0.3]])),
+    "fatigue": (tubeopt.fatigue, _joints(rotations=[[0.0, 0.0], [0.0, 0.3]])),
     "follow": (tubeopt.follow, _joints(rotations=[[0.0, 0.0], [0.0, 0.3]])),
     "trace_branch": (tubeopt.trace_branch, lambda: {"robot": PAIR, "start": [0, 0], "end": [0, 0.1]}),
     "energy_map": (tubeopt.energy_map, _joints(samples=5)),

@@ -15,6 +15,7 @@ from tubeopt import (
     Drives,
     Equilibrium,
     EquilibriumBatch,
+    Fatigue,
     ForceEstimate,
     HeatingPlan,
     InverseSolution,
@@ -58,6 +59,7 @@ from tubeopt.shaping.mold.mold import MoldStatus
 from tubeopt.solvers.named_program import ProblemStatus
 from tubeopt.stability.certificate import CertificateStatus
 from tubeopt.stability.drives import DrivesStatus
+from tubeopt.stability.fatigue import Endurance
 from tubeopt.stability.following import PathStatus
 from tubeopt.stability.load_limit import LoadLimitStatus
 from tubeopt.stability.maps import MapStatus
@@ -75,6 +77,7 @@ ANSWERS = (
     Drives,
     Equilibrium,
     EquilibriumBatch,
+    Fatigue,
     Fit,
     ForceEstimate,
     HeatingPlan,
@@ -99,6 +102,7 @@ STATUSES = (
     CertificateStatus,
     DesignStatus,
     DrivesStatus,
+    Endurance,
     FitStatus,
     ForceStatus,
     HeatingStatus,

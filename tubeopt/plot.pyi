@@ -11,7 +11,7 @@ from .show.plots.design import (
     plot_stock,
     plot_tolerance,
 )
-from .show.plots.drives import plot_drives
+from .show.plots.drives import plot_drives, plot_fatigue
 from .show.plots.eccentric import plot_permutations, plot_reach
 from .show.plots.heating import plot_feedback, plot_heating, plot_oven, plot_rig_fit, plot_wiring
 from .show.plots.loads import (
@@ -50,6 +50,7 @@ __all__ = [
     "plot_error_table",
     "plot_errors",
     "plot_fabrication_sheet",
+    "plot_fatigue",
     "plot_feedback",
     "plot_force_estimates",
     "plot_friction_band",

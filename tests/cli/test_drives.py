@@ -9,8 +9,9 @@ import pytest
 
 from tests.command_line import ROOT, Run, answer, refused
 from tests.examples import TWO_TUBE
-from tubeopt import Friction, drives_along, drives_at, workspace
+from tubeopt import Friction, drives_along, drives_at, fatigue, workspace
 from tubeopt.planning.trajectory import timed_csv
+from tubeopt.runs.drives_study import load_strain_life
 
 PAIR = str(ROOT / "configs" / "robots" / "two_tube.yaml")
 TIME, TURNS = np.array([0.0, 1.0, 3.0]), np.array([[0.0, 0.0], [1.0, 0.0], [1.0, -0.5]])
@@ -77,3 +78,36 @@ def test_keys_of_the_workspace_are_refused_along_a_motion(
 def test_both_rates_are_needed(run: Run) -> None:
     (problem,) = refused(run("drives", PAIR, "--rotation-rate-deg-per-s", "5"))
     assert "give both rates" in problem
+
+
+# --- fatigue ----------------------------------------------------------------------------------------------------------
+
+CURVE = "amplitude_percent,cycles,cycles_low,cycles_high\n0.001,1e9,1e8,1e10\n2,1e3,1e2,1e4\n"
+
+
+def test_strain_cycles_are_saved_and_drawn(run: Run, motion: Path, tmp_path: Path) -> None:
+    curve = tmp_path / "curve.csv"
+    curve.write_text(CURVE)
+    found = fatigue(TWO_TUBE, TURNS, curve=load_strain_life(curve))
+    flags = "fatigue", PAIR, str(motion), "--curve", str(curve)
+    record = answer(run(*flags, "--json"))
+    assert record["returned"] is True
+    for tube, each in zip(record["tubes"], found.tubes, strict=True):
+        assert tube["amplitude_percent"] == pytest.approx(100 * each.amplitude)
+        assert tube["place_mm"] == pytest.approx(1e3 * each.place)
+        assert tube["endurance"] == str(each.endurance)
+        assert (tube["life"], tube["life_low"]) == pytest.approx((each.life, each.life_range[0]))
+        assert tube["life_low"] < tube["life"] < tube["life_high"]
+    outcome = run(*flags, "--out", str(tmp_path / "out"))
+    assert outcome.code == 0
+    header, *rows = (tmp_path / "out" / "strain.csv").read_text().splitlines()
+    assert header == "waypoint,strain_1_percent,strain_2_percent"
+    assert len(rows) == len(found.tubes[0].history)
+    assert (tmp_path / "out" / "fatigue.png").stat().st_size > 1000
+
+
+def test_a_curve_that_is_none_is_refused(run: Run, motion: Path, tmp_path: Path) -> None:
+    curve = tmp_path / "curve.csv"
+    curve.write_text("amplitude_percent,cycles\n0.1,1e3\n2,1e9\n")
+    (problem,) = refused(run("fatigue", PAIR, str(motion), "--curve", str(curve)))
+    assert "lives must not rise with the amplitude" in problem

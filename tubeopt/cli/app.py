@@ -89,7 +89,7 @@ GROUPS: dict[str, tuple[type[TyperGroup], str]] = {
 
 
 PANELS = {
-    "Ask": "fk ik equilibria snap follow drives load-limit force certify stability-map workspace view",
+    "Ask": "fk ik equilibria snap follow drives fatigue load-limit force certify stability-map workspace view",
     "Design": "design design-pair",
     "Plan": "plan plan-arms verify",
     "Build": "mold heat fabricate",

@@ -91,6 +91,14 @@ COMMANDS: dict[str, StudyCommand | str] = {
         With --along the motion has waypoints, or times too, as a plan has; then the powers are known.""",
         example="tubeopt drives thesis_ctr --along turn_and_back --out results",
     ),
+    "fatigue": StudyCommand(
+        "fatigue",
+        """Count the strain cycles of the tubes along a repeated motion, and estimate their life.
+
+        A motion that does not end where it begins is repeated forth and back.""",
+        arguments={"robot": ROBOT, "along": ("MOTION.csv", PATH)},
+        example="tubeopt fatigue thesis_ctr turn_and_back --out results",
+    ),
     "load-limit": StudyCommand(
         "load_limit",
         "Find the load factor at which the robot snaps or buckles, and the equilibrium after it.",

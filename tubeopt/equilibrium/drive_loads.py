@@ -19,27 +19,24 @@ out, since it changes no shape.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, NamedTuple
 
 import numpy as np
 
 from ..arguments import typed
-from ..block.transcription.arm import between
-from ..block.transcription.collocated import SHAPE_STEPS, THROUGH_ENDS
+from ..block.transcription.collocated import SHAPE_STEPS
 from ..display import Displayed
 from ..errors import InputError
 from ..files.field_metadata import form, unit
 from ..robots.assembly import Assembly
 from ..robots.eccentric import BundleRobot
-from ..robots.lengthwise import CrossSections
 from ..robots.load import masses
 from ..solvers.blas import small
 from ..typing import Array
+from .arm_sections import NEAR, ArmSections
 from .directions import check_wrt
 from .result import Equilibrium
-
-NEAR = 1e-9
-"""Distance (m) within which a breakpoint, friction or a contact is at the end of an element."""
 
 BOOLE = np.array([7, 32, 12, 32, 7]) / 90
 """Weights of values at the five shape points of an element, exact to degree 5."""
@@ -175,67 +172,26 @@ def _at_place(e: Equilibrium, i: int, side: int, place: float | None = None) -> 
     return _Place(kb, complex(x, y), kt, z)
 
 
-class _HeldArm:
-    """An equilibrium of n concentric tubes, at the m shape points of P elements.
-
-    Breakpoints of the tubes are at ends of elements. There the shape has the values of the plate's side, but at the
-    plate itself those of the other side.
-    """
+class _HeldArm(ArmSections):
+    """An equilibrium whose carriages begin to move to one side."""
 
     def __init__(self, e: Equilibrium, assembly: Assembly, side: int) -> None:
-        self.e, self.assembly, self.side, self.n = e, assembly, side, assembly.n_tubes
-        self.cuts = e.arc_length[::SHAPE_STEPS]
-        self.middle = (self.cuts[:-1] + self.cuts[1:]) / 2
-        if len(self.middle):
-            at = self._sections(np.maximum(np.arange(len(e.arc_length)) - 1, 0) // SHAPE_STEPS)
-            self.torques = np.where(at.stiffness > 0, at.torsional_stiffness * (e.torsion.T - at.twist), 0.0)
-            """Torques (m, n) of the tubes, N m."""
-            self.turned = e.rotation.T - at.twist_angle
-            self.moments = at.stiffness.sum(1) * (e.curvature @ (1, 1j)) - self._natural(at, self.turned).sum(1)
-            """Bending moments b_x + j b_y (m,) of the arm in its Bishop frame, N m."""
-        else:
-            self.torques, self.moments = np.zeros((1, self.n)), np.zeros(1, dtype=complex)
-        self._set_friction()
-
-    def _sections(self, element: Array) -> CrossSections:
-        """Cross-sections at the shape points, as points of elements (m,)."""
-        return self.assembly.cross_sections(self.e.arc_length, self.middle[element])
-
-    @staticmethod
-    def _natural(at: CrossSections, turned: Array) -> Array:
-        """Moments a_i = kb_i (u*_x + j u*_y) (X, n) in the Bishop frame, N m, of elastic rotations (X, n)."""
-        return np.asarray(at.moment * np.exp(1j * (turned + at.phase)))
-
-    def _set_friction(self) -> None:
-        """Set the friction torques (P + 1, n) on the tubes at ends of elements, and those (m, n) between, N m."""
-        e, self.jumps, self.friction_along = self.e, np.zeros((len(self.cuts), self.n)), np.zeros(self.n)
-        if e.friction is None:
-            return
-        s, inner, torque = (np.array(part) for part in (e.friction.arc_length, e.friction.pair, e.friction.torque))
-        cut = np.abs(self.cuts - s[:, None]).argmin(1)
-        between = np.abs(self.cuts[cut] - s) > NEAR
-        # The torque of a row is the one that turns the inner tube.
-        for tube, on in ((inner, torque), (inner + 1, -torque)):
-            np.add.at(self.jumps, (cut[~between], tube[~between]), on[~between])
-            rate = self._torsion_at(s[between], tube[between])
-            np.add.at(self.friction_along, tube[between], on[between] * rate)
-
-    def _torsion_at(self, s: Array, tube: Array) -> Array:
-        """Rates of rotation (R,) of tubes (R,) at arc lengths (R,) between ends of elements, rad/m."""
-        element, _, x = between(self.cuts, s)
-        around = element[:, None] * SHAPE_STEPS + np.arange(SHAPE_STEPS + 1)
-        torque = self.torques[around, tube[:, None]]
-        # Concentrated friction makes the torque jump at the ends of elements.
-        torque[:, 0] -= np.where(element > 0, self.jumps[element, tube], 0.0)
-        torque = (torque * (np.vander(x, SHAPE_STEPS + 1, increasing=True) @ THROUGH_ENDS)).sum(1)
-        at = self.assembly.cross_sections(s, self.middle[element])
-        row = np.arange(len(s))
-        return np.asarray(torque / at.torsional_stiffness[row, tube] + at.twist[row, tube])
+        super().__init__(e, assembly)
+        self.side = side
 
     @property
     def torque(self) -> Array:
-        """Torques (n,) of the drives, N m; friction at the plate acts between them and the arm."""
-        return np.asarray(-(self.torques[0] + self.jumps[0]))
+        """Torques (n,) of the drives, N m."""
+        return -self.plate_torque
+
+    @cached_property
+    def friction_along(self) -> Array:
+        """Sums (n,) of the friction torques on the tubes times their rates of rotation, N."""
+        s, tube, torque = self.along
+        out = np.zeros(self.n)
+        if len(s):
+            np.add.at(out, tube, torque * self.at(s).torsion[np.arange(len(s)), tube])
+        return out
 
     def force(self, i: int) -> float:
         """Force of the drive of tube i, N."""
@@ -272,7 +228,7 @@ class _HeldArm:
             at = self.assembly.cross_sections(self.cuts[[k]], self.middle[[element]])
             others = np.arange(self.n) != i
             turned = e.rotation.T[[point]] - self.assembly.twist_angle(self.cuts[[k]])
-            kb, natural = float(at.stiffness[0, others].sum()), complex(self._natural(at, turned)[0, others].sum())
+            kb, natural = float(at.stiffness[0, others].sum()), complex(self.natural(at, turned)[0, others].sum())
         moment, torque = complex(self.moments[point]), float(self.torques[point, i])
         before, after = (_at_place(e, i, side, s + float(self.assembly.transmission[i])) for side in (1, -1))
         direction, value = np.exp(1j * e.rotation[i, point]), []
@@ -313,7 +269,7 @@ class _HeldArm:
             dkb, dkt, dx, dy, dz, _ = table.rates(position, near)[:, :, i]
             # Torques and moments are continuous, unlike torsion and curvature.
             u = (
-                self.moments[points] + self._natural(at, e.rotation.T[points] - at.twist_angle).sum(1)
+                self.moments[points] + self.natural(at, e.rotation.T[points] - at.twist_angle).sum(1)
             ) / at.stiffness.sum(1)
             torque = self.torques[points, i] - (self.jumps[k, i] * (k > 0)) * (np.arange(SHAPE_STEPS + 1) == 0)
             turn = np.exp(1j * e.rotation[i, points])

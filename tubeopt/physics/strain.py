@@ -43,3 +43,17 @@ def slotted_strain_ratio(bending_factor: Any, fraction: Any, *, symmetric: bool 
     """
     # Under one moment rings bend b times the mean: 1 = (1 - f) b + f times that of the slotted part.
     return (1 if symmetric else 2) * (1 - bending_factor * (1 - fraction)) / fraction
+
+
+def fibre_strain(place: tuple[Any, Any], curvature: tuple[Any, Any], natural: tuple[Any, Any]) -> Any:
+    """Strain along a fibre of a bent tube.
+
+    Args:
+        place: x and y of the fibre in the axes of the tube, m.
+        curvature: curvature u of the tube, x and y in its axes, 1/m.
+        natural: precurvature u*, x and y, 1/m.
+    """
+    # A fibre at q is as long as the axis times 1 + (u x q)_z.
+    x, y = place
+    bent = (curvature[0] - natural[0]) * y - (curvature[1] - natural[1]) * x
+    return bent / (1 + natural[0] * y - natural[1] * x)

@@ -1,4 +1,4 @@
-"""Studies of motors and tubes in use: loads of the drives along a motion or over the workspace."""
+"""Studies of motors and tubes in use: loads of the drives, and fatigue of the tubes."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from ..equilibrium.result import Equilibrium
 from ..files.checked import Count, Positive, in_file
 from ..files.csv_file import read_csv
 from ..files.field_metadata import Typical
+from ..files.units import PERCENT, RAD
 from ..planning.trajectory import TIME, load_trajectory
 from ..robots.concentric import friction_of
 from ..robots.file import load_waypoints
 from ..robots.load import Load
 from ..robots.robot import Robot
-from ..stability import Drives, drives_along, drives_at
+from ..stability import Drives, Fatigue, StrainLife, drives_along, drives_at, fatigue
 from ..typing import Array, Progress
 from ..workspaces import workspace
-from .robot_keys import Loaded, RobotPath
+from .robot_keys import ExternalLoad, Loaded, RobotPath
 from .stability_studies import Shaken
-from .study_file import Timed
+from .study_file import Timed, question
 from .surroundings_file import WallBodies
 
 SAMPLES = 1000
@@ -67,6 +68,41 @@ MotionPath = Annotated[
         description="path of a CSV file of waypoints, as of follow, or of a trajectory with times, as plan saves it; "
         "default samples of the workspace",
         examples=["MOTION.csv"],
+    ),
+]
+
+
+def load_strain_life(path: str | PathLike[str]) -> StrainLife:
+    """Strain-life curve in a CSV file: columns amplitude_percent, cycles and, for the scatter, cycles_low, cycles_high.
+
+    Raises:
+        InputError: no such file, unknown or missing columns, cells that are no numbers, or an invalid curve.
+    """
+    table = read_csv(path, (*CURVE, *SCATTER))
+    scattered = table.expect(CURVE, together=SCATTER)
+    amplitude, cycles = table.numbers(CURVE, [PERCENT, RAD]).T
+    low, high = table.numbers(SCATTER, RAD).T if scattered else (None, None)
+    table.check()
+    return StrainLife(amplitude, cycles, low, high)
+
+
+CURVE, SCATTER = ("amplitude_percent", "cycles"), ("cycles_low", "cycles_high")
+"""Columns of a strain-life curve."""
+
+
+RepeatedMotion = Annotated[
+    JointMotion,
+    in_file(load_joint_motion, "a CSV file", of="robot"),
+    Field(description="path of a CSV file of waypoints, as of follow, or of a trajectory, as plan saves it"),
+]
+
+CurvePath = Annotated[
+    StrainLife | None,
+    in_file(load_strain_life, "a CSV file"),
+    Field(
+        description="path of a CSV file with a strain-life curve: columns amplitude_percent, cycles and, for its "
+        "scatter, cycles_low and cycles_high; default the published limits of nitinol alone",
+        examples=["CURVE.csv"],
     ),
 ]
 
@@ -127,3 +163,25 @@ class DrivesStudy(Loaded, Timed):
             friction=None if self.shaken else friction_of(robot),
             walls=self.walls,
         )
+
+
+@question("following the motion")
+def size_fatigue(
+    robot: RobotPath,
+    along: RepeatedMotion,
+    load: ExternalLoad,
+    walls: WallBodies = (),
+    shaken: Shaken = False,
+    curve: CurvePath = None,
+) -> Fatigue:
+    """Strain cycles of the tubes along a repeated motion, and their life."""
+    return fatigue(
+        robot,
+        along.rotations,
+        along.translations,
+        start=along.start(load),
+        load=load,
+        friction=None if shaken else friction_of(robot),
+        walls=walls,
+        curve=curve,
+    )

@@ -188,6 +188,7 @@ TITLES = {
     "DrivesStudy": "Study: loads of the drives",
     "EquilibriaStudy": "Study: all equilibria",
     "FabricationStudy": "Study: fabricate a robot",
+    "FatigueStudy": "Study: fatigue of the tubes",
     "FollowStudy": "Study: follow a joint path",
     "ForceStudy": "Study: estimate the tip force",
     "ForwardKinematicsStudy": "Study: forward kinematics",

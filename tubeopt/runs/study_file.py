@@ -245,6 +245,7 @@ STUDY_KINDS = Kinds(
         "snap": "stability_studies.SnapStudy",
         "follow": "stability_studies.follow_path",
         "drives": "drives_study.DrivesStudy",
+        "fatigue": "drives_study.size_fatigue",
         "load_limit": "stability_studies.LoadLimitStudy",
         "force": "validation_study.estimate_tip_forces",
         "certify": "stability_studies.CertifyStudy",

@@ -220,6 +220,7 @@ EXAMPLES: dict[str, Callable[[Robot], Data]] = {
     "load_limit": lambda robot: {"rotations_deg": _fan(robot), "tip_force_mN": [-10, 0, 0]},
     "follow": lambda robot: {"path": "turn_and_back"},
     "drives": lambda robot: {"along": "turn_and_back"},
+    "fatigue": lambda robot: {"along": "turn_and_back"},
     "force": lambda robot: {"measurements": "synthetic_forces"},
     "validation": lambda robot: {"measurements": "synthetic_etr"},
     "commission": lambda robot: {"logs": ["commission_log"]},

@@ -29,6 +29,7 @@ from ..stability import (
     Certificate,
     Drives,
     EnergyMap,
+    Fatigue,
     LoadLimit,
     Snap,
     SnapAssessment,
@@ -39,7 +40,7 @@ from ..stability import (
 )
 from ..validation.force import ForceEstimate
 from ..workspaces import SnappingLoss, Workspace
-from .drives_report import DRIVES
+from .drives_report import DRIVES, FATIGUE
 from .equilibrium_report import TUBE, VERIFICATION
 from .formatting import counted, degrees, millimetres
 from .heat_report import PLAN
@@ -300,6 +301,7 @@ SUMMARIES: Mapping[type, Summary] = {
     Drives: Summary(DRIVES, "drives.plot_drives"),
     EnergyMap: Summary(ENERGY_MAP, "maps.plot_energy_maps", lambda answer: [answer]),
     EquilibriumBatch: Summary(BATCH),
+    Fatigue: Summary(FATIGUE, "drives.plot_fatigue"),
     ForceEstimate: Summary(FORCE, "shape.plot_shape", lambda f: f.equilibrium),
     HeatingPlan: Summary(PLAN, "heating.plot_heating"),
     InverseSolution: Summary(SOLUTION, "workspace.plot_inverse", lambda answer: [answer]),

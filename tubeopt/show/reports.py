@@ -39,7 +39,10 @@ MODULES = {
         "SegmentedEccentricRobot",
         "BundleRobot",
     ),
-    "drives_report": ("Drives",),
+    "drives_report": (
+        "Drives",
+        "Fatigue",
+    ),
     "fabrication_report": (
         "Fabrication",
         "RobotMold",

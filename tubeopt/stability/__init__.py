@@ -6,6 +6,7 @@ from .deflection import deflection_bound
 from .drives import Drives, drives_along, drives_at
 from .energy import EnergyMap, energy_map
 from .equilibria import EquilibriaSearch, find_equilibria
+from .fatigue import Endurance, Fatigue, StrainLife, TubeFatigue, fatigue
 from .following import Path, find_snap, follow
 from .friction_path import FrictionBand, friction_band
 from .load_limit import LoadLimit, find_load_limit
@@ -23,8 +24,10 @@ __all__ = [
     "Certificate",
     "Drives",
     "EccentricSnapAssessment",
+    "Endurance",
     "EnergyMap",
     "EquilibriaSearch",
+    "Fatigue",
     "Finding",
     "FrictionBand",
     "LoadLimit",
@@ -35,6 +38,8 @@ __all__ = [
     "SnapInTime",
     "SnapSearch",
     "StabilityMap",
+    "StrainLife",
+    "TubeFatigue",
     "WorstCertificate",
     "WorstMargin",
     "assess_snapping",
@@ -43,6 +48,7 @@ __all__ = [
     "drives_along",
     "drives_at",
     "energy_map",
+    "fatigue",
     "find_equilibria",
     "find_load_limit",
     "find_snap",

@@ -1,4 +1,4 @@
-"""Loads of drives: over a motion with their speeds, or how often they are exceeded in a workspace."""
+"""Loads of drives, over a motion or in a workspace, and strain cycles of tubes."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...files.units import TO_MILLI, TO_MM
-from ...stability import Drives
+from ...stability import Drives, Fatigue
 from ...stability.drives import DrivesStatus
+from ...stability.fatigue import ANY_MEAN, LIMITS
 from ...typing import Array
 from ..page import tube_colour
 from .labels import legend_beside
 from .panels import PanelScale, draw_over, share_x
-from .style import FAINT, Axes, Figure, headed, new_figure, number, picture
+from .style import FAINT, INK, Axes, Figure, headed, new_figure, number, picture
 
 TORQUE = PanelScale("torque (mN m)", TO_MILLI, min_span=1e-3)
+STRAIN = PanelScale("strain (%)", 100.0, min_span=1e-3)
 FORCE = PanelScale("force (mN)", TO_MILLI, min_span=1e-3)
 
 
@@ -83,3 +85,33 @@ def _draw_exceeded(axes: Axes, size: Array, scale: PanelScale, what: str) -> Non
     axes.set_xlim(left=0)
     axes.grid()
     legend_beside(axes)
+
+
+@picture
+def plot_fatigue(fatigue: Fatigue, *, title: str = "") -> Figure:
+    """Picture of strain cycles: the largest changing strain of every tube over a repetition, and amplitudes over means.
+
+    Args:
+        fatigue: result of `fatigue`.
+        title: heading; default the robot's name.
+    """
+    figure = new_figure(10.0, 3.8)
+    over, cycles = figure.subplots(1, 2, width_ratios=(5, 4))
+    for i, tube in enumerate(fatigue.tubes):
+        draw_over(over, tube.waypoint, tube.history, STRAIN, name=f"tube {i + 1}", color=tube_colour(i))
+        amplitude, mean = 100 * tube.cycles.amplitude, 100 * tube.cycles.mean
+        cycles.plot(mean, amplitude, "o", ms=4, color=tube_colour(i), clip_on=False)
+    share_x([over], fatigue.tubes[0].waypoint, "waypoint")
+    legend_beside(over)
+    for limit, name in ((ANY_MEAN, "4e8 cycles"), (LIMITS[0], "1e7 cycles, least"), (LIMITS[1], "1e7 cycles, largest")):
+        cycles.axhline(100 * limit, color=FAINT, lw=0.8, ls="--")
+        cycles.annotate(
+            name, (1.0, 100 * limit), xycoords=("axes fraction", "data"), ha="right", va="bottom", color=INK
+        )
+    cycles.set_xlabel("mean strain (%)")
+    cycles.set_ylabel("strain amplitude (%)")
+    cycles.set_ylim(bottom=0)
+    largest = float(fatigue.value.max())
+    return headed(
+        figure, f"{title or fatigue.robot.name or 'Tube robot'}\nstrain amplitude up to {number(100 * largest, 2)} %"
+    )
