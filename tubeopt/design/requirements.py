@@ -16,7 +16,7 @@ from ..bodies.corridors import Corridor as Vessel
 from ..bodies.obstacles import Obstacle, checked_obstacles, scene_of
 from ..display import Displayed
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import MIN_MARGIN, Equilibrium
 from ..errors import InputError, choice, finite, finite_array, instance, items, numbers, positive, triple, vector, whole
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Typical, check_fields, key, unit
 from ..robots.load import ZERO, Load
@@ -145,7 +145,7 @@ class SnapFree(Displayed):
 class SnapFreeInUse:
     """Requirement of no snap at every task pose and, with `paths`, on the straight paths between them."""
 
-    margin: Annotated[float, POSITIVE, "smallest allowed margin at poses and on paths"] = 0.05
+    margin: Annotated[float, POSITIVE, "smallest allowed margin at poses and on paths"] = MIN_MARGIN
     paths: Annotated[bool, "check the straight joint path from each pose to the next"] = True
     deployed: Annotated[bool, "check the arm while it is deployed along a straight line to each pose"] = False
     tolerance: Annotated[float, POSITIVE, "tolerance on the required margin on paths"] = 1e-3

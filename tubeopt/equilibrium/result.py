@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from ..block.transcription.arm import Profile
     from ..block.transcription.reduced import ReducedProblem
 
+# Every torsional stiffness may then be 5 % lower than that of the model before the pose snaps.
+MIN_MARGIN = 0.05
+"""Default of the smallest allowed margin of planned, solved and designed poses."""
+
 
 class Status(StatusEnum):
     """Outcome of a solve, as a sentence."""

@@ -15,6 +15,7 @@ from ..block.quantities import Expression, Quantity, recorded
 from ..bodies.obstacles import Obstacle, Scene, checked_obstacles, scene_of
 from ..equilibrium.arm_surface import MAX_CONTACTS, Contacts
 from ..equilibrium.linearised import Linearised, curvature_at, position_changes, positions_at
+from ..equilibrium.result import MIN_MARGIN
 from ..errors import InputError, finite, instance, vector
 from ..robots.limits import JointLimits, check_target
 from ..robots.robot import Robot, check_robot
@@ -401,7 +402,7 @@ def pose_question(  # noqa: PLR0913
     *,
     start: Configuration | None = None,
     reference: Configuration | None = None,
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     limits: JointLimits | None = None,
     weights: tuple[ArrayLike, ArrayLike] | None = None,
     obstacles: Sequence[Obstacle] = (),

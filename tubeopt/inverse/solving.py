@@ -22,7 +22,7 @@ from ..arguments import renamed, typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import MIN_MARGIN, Equilibrium
 from ..errors import InputError, SolveError, choice, instance, vector
 from ..robots.eccentric import by_model
 from ..robots.limits import JointLimits, check_target
@@ -97,7 +97,7 @@ def inverse_kinematics(  # noqa: PLR0913
     direction: ArrayLike | None = None,
     start: Configuration | None = None,
     reference: Configuration | None = None,
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     limits: JointLimits | None = None,
     weights: tuple[ArrayLike, ArrayLike] | None = None,
     obstacles: Sequence[Obstacle] = (),
@@ -369,7 +369,7 @@ class IkSession:
         robot: Robot,
         *,
         start: Configuration | None = None,
-        min_margin: float = 0.05,
+        min_margin: float = MIN_MARGIN,
         limits: JointLimits | None = None,
         weights: tuple[ArrayLike, ArrayLike] | None = None,
         obstacles: Sequence[Obstacle] = (),

@@ -20,7 +20,7 @@ from ..arguments import typed
 from ..bodies.anatomy import bodies_in_frame
 from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import MIN_MARGIN, Equilibrium
 from ..errors import InputError, SolveError, instance
 from ..files.field_metadata import form, unit
 from ..inverse.clock import Clock
@@ -134,7 +134,7 @@ def plan_arms(
     goals: Sequence[Any],
     *,
     obstacles: Sequence[Obstacle] = (),
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     rate_limits: RateLimits = DEFAULT_RATES,
     options: PlanOptions = DEFAULT_PLAN,
 ) -> ArmsPlan:

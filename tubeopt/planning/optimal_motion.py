@@ -31,7 +31,7 @@ from ..block.composed import as_program
 from ..bodies.obstacles import Obstacle, checked_obstacles, scene_of
 from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import MIN_MARGIN, Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_CLEARANCE, typical_length
 from ..inverse import InverseOptions, inverse_kinematics
@@ -182,7 +182,7 @@ class Motion:
         *,
         between: int = 1,
         duration: Any = None,
-        min_margin: Any = 0.05,
+        min_margin: Any = MIN_MARGIN,
         limits: JointLimits | None = None,
         name: str = "motion",
     ) -> None:

@@ -22,7 +22,7 @@ from ..bodies.distance_field import DistanceField
 from ..bodies.frames import Frame
 from ..bodies.obstacles import Obstacle, nearest_distance
 from ..display import Displayed
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import MIN_MARGIN, Equilibrium
 from ..errors import InputError, SolveError, instance, positive, vector, whole
 from ..files.field_metadata import TYPICAL_REGION, typical_length
 from ..inverse.clock import Clock, OutOfTimeError
@@ -275,7 +275,7 @@ def plan_trajectory(  # noqa: PLR0913
     goal: Any,
     *,
     obstacles: Sequence[Obstacle] = (),
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,

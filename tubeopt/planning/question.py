@@ -15,7 +15,7 @@ from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
 from ..equilibrium.kinematics import equilibrium_at, forward_kinematics
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import MIN_MARGIN, Equilibrium
 from ..errors import InputError, SolveError, finite, instance, positive, whole
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check_fields, check_size, key, unit
 from ..inverse.clock import Clock, OutOfTimeError
@@ -223,7 +223,7 @@ class PlanTask(Task):
 def plan_task(
     robot: Robot,
     obstacles: Sequence[Obstacle],
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,

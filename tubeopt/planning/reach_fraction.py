@@ -23,7 +23,7 @@ from ..bodies.obstacles import Obstacle, checked_obstacles
 from ..display import Displayed
 from ..equilibrium.arm_surface import ArmSurface
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import MIN_MARGIN, Equilibrium
 from ..errors import InputError, SolveError, finite, instance, items, positive, whole
 from ..files.field_metadata import TYPICAL_TIP_ERROR, typical_length
 from ..inverse.clock import OutOfTimeError
@@ -102,7 +102,7 @@ def evaluate_reach(
     *,
     tolerance: float = 5e-4,
     obstacles: Sequence[Obstacle] = (),
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     options: PlanOptions = DEFAULT_PLAN,
     count: int = 300,
 ) -> ReachFraction:
@@ -225,7 +225,7 @@ class RegionReach(Displayed):
     """Obstacles in the frame of the given plate."""
     tolerance: float = 5e-4
     """Largest distance of the tip from a reached target, m."""
-    min_margin: float = 0.05
+    min_margin: float = MIN_MARGIN
     """Required margin."""
     options: PlanOptions = DEFAULT_PLAN
     """Options as for `evaluate_reach`."""
@@ -355,7 +355,7 @@ class PairReach(Displayed):
     """Obstacles in the frame of the bases."""
     tolerance: float = 5e-4
     """Largest distance of the tip from a reached target, m."""
-    min_margin: float = 0.05
+    min_margin: float = MIN_MARGIN
     """Required margin."""
     options: PlanOptions = DEFAULT_PLAN
     """Options as for `evaluate_reach`; the arms keep their clearance from each other too."""

@@ -19,6 +19,7 @@ import scipy
 from ..arguments import typed
 from ..bodies.obstacles import Obstacle, Same
 from ..display import Displayed
+from ..equilibrium.result import MIN_MARGIN
 from ..errors import InputError, SolveError
 from ..inverse.clock import Clock, OutOfTimeError
 from ..inverse.search import PathResult
@@ -144,7 +145,7 @@ def build_roadmap(
     robot: Robot,
     *,
     obstacles: Sequence[Obstacle] = (),
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
     count: int = 500,

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from ..arguments import typed
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.kinematics import forward_kinematics
-from ..equilibrium.result import Equilibrium
+from ..equilibrium.result import MIN_MARGIN, Equilibrium
 from ..errors import InputError, SolveError, finite
 from ..files.field_metadata import TYPICAL_TIP_ERROR, typical_length
 from ..inverse import IkSession, inverse_kinematics
@@ -75,7 +75,7 @@ def follow_tip_path(  # noqa: PLR0913
     tolerance: float = 5e-4,
     spline: bool = False,
     obstacles: Sequence[Obstacle] = (),
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,
@@ -252,7 +252,7 @@ def follow_the_leader(
     *,
     start_fraction: float = 0.2,
     obstacles: Sequence[Obstacle] = (),
-    min_margin: float = 0.05,
+    min_margin: float = MIN_MARGIN,
     rate_limits: RateLimits = DEFAULT_RATES,
     limits: JointLimits | None = None,
     options: PlanOptions = DEFAULT_PLAN,

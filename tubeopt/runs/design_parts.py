@@ -58,7 +58,7 @@ from ..robots.file import MaterialChoice, Range, material_of
 from ..robots.pieces import Slots
 from ..robots.tubes import Tube
 from ..typing import Array, Progress
-from .robot_keys import RobotPath
+from .robot_keys import DEFAULT_MARGIN, MinMargin, RobotPath
 from .surroundings_file import AnatomyKey, Bodies
 
 Row = Annotated[list[Number], Field(min_length=1)]
@@ -375,7 +375,7 @@ class SearchPart(Entry):
     clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         Decimal("0.2"), description="smallest allowed distance of an arm from obstacles, and between two arms"
     )
-    min_margin: NotNegative = Field(Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1")
+    min_margin: MinMargin = DEFAULT_MARGIN
     tolerance_mm: Annotated[Positive, Typical(1e-6, 0.05)] = Field(
         Decimal("0.5"), description="largest distance between the tip and a reached point"
     )

@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 
 from ..display import Displayed
 from ..errors import SolveError
-from ..files.checked import Entry, NotNegative, Number, Positive, Triple, check, in_file, require_one
+from ..files.checked import Entry, Number, Positive, Triple, check, in_file, require_one
 from ..files.csv_file import read_csv, refuse
 from ..files.field_metadata import key
 from ..files.fields import keys_from, values
@@ -27,7 +27,7 @@ from ..stability import ASSUMING, follow
 from ..typing import Array, Progress
 from ..workspaces import Findings, examine, workspace
 from ..workspaces.loss import require_centred
-from .robot_keys import HOME, Loaded, OnePerTube, RobotPath, joints_of
+from .robot_keys import DEFAULT_MARGIN, HOME, Loaded, MinMargin, OnePerTube, RobotPath, joints_of
 from .study_file import Arguments, Options, Study, question
 from .surroundings_file import Surrounded, TipPosition
 
@@ -177,9 +177,7 @@ class InverseStudy(Surrounded, Loaded, Study):
     reference_mm: OnePerTube | None = Field(
         None, description="translations of the reference configuration; the nearest solution is preferred"
     )
-    min_margin: NotNegative = Field(
-        Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]
-    )
+    min_margin: MinMargin = DEFAULT_MARGIN
     time_limit_s: Positive = Field(Decimal(20), description="time limit per target, path search included")
     all: bool = Field(False, description="find all distinct configurations for the target, best first")
     closest: bool = Field(False, description="show the closest pose if the target is out of reach")

@@ -40,7 +40,17 @@ from ..robots.robot import Robot
 from ..typing import Array, Progress
 from ..validation.certainty import PROBABILITIES, path_bounds
 from .real_robot import MOST_MARGIN, Judged, Reserve, check_confidence, kept_by_real_robot
-from .robot_keys import Loaded, OnePerTube, RobotPath, Started, check_within, joints_of, rewording_joints
+from .robot_keys import (
+    DEFAULT_MARGIN,
+    Loaded,
+    MinMargin,
+    OnePerTube,
+    RobotPath,
+    Started,
+    check_within,
+    joints_of,
+    rewording_joints,
+)
 from .study_file import Study, Timed
 from .surroundings_file import BasePart, Bodies, Position, Surrounded, TipPosition
 
@@ -204,9 +214,7 @@ class PlanStudy(Aimed, Surrounded, Loaded, Study):
         Decimal(20), lt=100, description="fraction of the arm that is in front of the base when deployment starts"
     )
     entry: EntryPart | None = Field(None, description="allowed base poses; one is chosen")
-    min_margin: NotNegative = Field(
-        Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]
-    )
+    min_margin: MinMargin = DEFAULT_MARGIN
     confidence: Positive | None = Field(
         None,
         gt=0.5,
@@ -358,9 +366,7 @@ class ArmsStudy(Surrounded, Study):
     clearance_mm: Annotated[NotNegative, Typical(1e-5, 0.1)] = Field(
         Decimal("0.5"), description="smallest allowed distance of every arm from obstacles and other arms"
     )
-    min_margin: NotNegative = Field(
-        Decimal("0.05"), lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]
-    )
+    min_margin: MinMargin = DEFAULT_MARGIN
     rates: RatesEntry = Field(default_factory=RatesEntry, description="rate and acceleration limits of the actuators")
     time_limit_s: Positive = Field(Decimal(120), description="time limit of the command")
 

@@ -11,11 +11,12 @@ from os import PathLike
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, Field, PlainValidator, ValidationInfo
+from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, ValidationInfo
 
 from ..equilibrium.readings import to_model
+from ..equilibrium.result import MIN_MARGIN
 from ..errors import InputError
-from ..files.checked import Count, Entry, Number, Triple, check, in_file
+from ..files.checked import Count, Entry, Number, Triple, check, decimal, in_file
 from ..files.fields import EntryOf, Part, keys_from, keys_in, values, with_keys
 from ..files.shipped import resolve_file
 from ..files.units import TO_MM
@@ -149,6 +150,16 @@ class Shifted(Entry):
 
 Translations = Annotated[Array, Keys(Shifted, "translations")]
 """Parameter of a question: translations (n,), m, of the model."""
+
+MinMargin = Annotated[
+    Decimal,
+    Field(ge=0, lt=1, description="smallest allowed stability margin, below 1", examples=["MU"]),
+    BeforeValidator(decimal),
+]
+"""Required margin of a study."""
+
+DEFAULT_MARGIN = Decimal(str(MIN_MARGIN))
+"""Default of `MinMargin`."""
 
 
 class Started(Entry):

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from ...bodies.obstacles import Obstacle
 from ...control.command import Command, ServoOptions
 from ...control.servo import Servo
+from ...equilibrium.result import MIN_MARGIN
 from ...errors import InputError
 from ...files.units import TO_MM
 from ...inverse.answer import InverseOptions
@@ -38,7 +39,7 @@ SPEED = 0.03
 MAX_STEP = 0.1
 """Largest duration of the motion by one message, s."""
 
-MIN_MARGIN = 0.01
+MOVING_MARGIN = 0.01
 """Smallest margin during motions, also if the user requests less."""
 
 KEYS = "J L, K I, O U: along x, y, z; Shift: slower. Or the sticks of a gamepad, or a 3-D mouse."
@@ -117,7 +118,7 @@ class TipServo:
             return session, ""
         if session.equilibrium.load is not None:
             raise InputError("the tip can be moved without load only; remove the load first")
-        options = ServoOptions(speed=SPEED, min_margin=max(min_margin, MIN_MARGIN))
+        options = ServoOptions(speed=SPEED, min_margin=max(min_margin, MOVING_MARGIN))
         servo, current = self._servo, session.equilibrium
         # Sliders may have moved the robot since the last message: a servo knows only its own steps.
         if servo is None or servo.equilibrium is not current or (servo.options, self._bodies) != (options, obstacles):
@@ -140,7 +141,7 @@ QUICK = InverseOptions(steps=20)
 
 
 def drag_tip(
-    session: Session, target: ArrayLike, *, min_margin: float = 0.05, obstacles: Sequence[Obstacle] = ()
+    session: Session, target: ArrayLike, *, min_margin: float = MIN_MARGIN, obstacles: Sequence[Obstacle] = ()
 ) -> tuple[Session, str]:
     """Session after moving the tip towards `target` (3,), m, by Gauss-Newton steps within all limits.
 

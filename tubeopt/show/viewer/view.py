@@ -14,7 +14,7 @@ from ...bodies.corridors import load_mesh
 from ...bodies.images import field_of_image, read_image
 from ...bodies.obstacles import Obstacle, scene_of
 from ...equilibrium.readings import to_model
-from ...equilibrium.result import Equilibrium
+from ...equilibrium.result import MIN_MARGIN, Equilibrium
 from ...errors import InputError
 from ...files.csv_file import read_csv
 from ...files.yaml_file import load_yaml
@@ -253,7 +253,7 @@ class View:
     """Obstacles, which motions of the tip avoid."""
     waypoints: ViewerWaypoints | None = None
     """Waypoints of a trajectory to be played."""
-    min_margin: float = 0.05
+    min_margin: float = MIN_MARGIN
     """Smallest margin during motions of the tip; first value of the slider."""
     load: Load | None = None
     """Force on the tip and gravity at the start."""
