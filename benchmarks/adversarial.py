@@ -70,7 +70,7 @@ def text(random: np.random.Generator, tip: np.ndarray, joints: tuple[list[float]
     near, (rotations, translations) = tip + 10.0 ** random.uniform(-6, 0) * random.normal(size=3), joints
     pair = {"rotations": rotations, "translations": translations}
     small = {name: (1e-2 * random.normal(size=len(rotations))).tolist() for name in pair}
-    message: Any = [
+    possible: Any = [
         {"op": "servo_cp", "position": near.tolist()},
         {"op": "servo_cp", "position": near.tolist(), "direction": random.normal(size=3).tolist()},
         {"op": "servo_cv", "linear": (10.0 ** random.uniform(-3, 2) * random.normal(size=3)).tolist()},
@@ -85,7 +85,12 @@ def text(random: np.random.Generator, tip: np.ndarray, joints: tuple[list[float]
         {"op": "servo_cp", "position": (1e3 * near).tolist(), "frame_id": "camera"},
         {"op": "servo_cp", "position": near.tolist(), "closest": True},
         {"op": "move_cp", "position": near.tolist(), "closest": True},
-    ][random.integers(14)]
+        {"op": "servo_jv", **small},
+        {"op": "servo_cr", "translation": (near - tip).tolist(), "turn": random.normal(size=3).tolist()},
+        {"op": "move_cr", "translation": (near - tip).tolist(), "turn": None},
+        {"op": "free"},
+    ]
+    message = possible[random.integers(len(possible))]
     if random.random() < 0.15:
         key, bad = random.choice([*message, "nonsense"]), BAD[random.integers(len(BAD))]
         message[key] = [bad] * random.integers(1, 5) if random.random() < 0.5 else bad

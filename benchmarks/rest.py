@@ -1,15 +1,17 @@
 """Servos at targets out of reach: whether robots come to rest, within their limits, as close as they can.
 
-    python -m benchmarks.rest [--number 1000] [--robots thesis_ctr ...] [--kind c] [--against DIRECTORY]
+    python -m benchmarks.rest [--targets 1000] [--robots thesis_ctr ...] [--kind c] [--seek] [--jsonl FILE]
 
 Each robot starts at random joint values, and its servo is led to a random target within a length of its longest tube
 that is out of reach. It moves until it has rested for two seconds. Printed: how long it takes from 1 mm off its last
-place until rest, reversals in the last two seconds, largest accelerations over their limits, least margin, and how much
-closer inverse kinematics comes: `ik --closest`, which searches from many starts, and the descent of `ik --closest` from
-the place of rest. A servo approaches its target at every step, so it can rest at a local minimum only; `--certify`
-checks that, by multipliers and second derivatives. Kinds: the servo
-in Python, in C, and the robot of the server, commanded by servo_cp in time of its own. With `--reach` the targets are
-tips of random joint values, and what counts is whether they are reached. With `--seek` commands ask for the closest
+place until rest, reversals in the last two seconds, largest rates and accelerations over their limits, least margin,
+snaps that `follow` finds on the way, and how much closer inverse kinematics comes: `ik --closest`, which searches from
+many starts, and the descent of `ik --closest` from the place of rest. For a motion that ends farther off, planning
+searches a way without a snap to that pose. With `--jsonl` each motion is a line of a file, and a later run goes on from
+there; motions of other kinds to the same targets share their `ik --closest`. A servo approaches its target at every
+step, so it can rest at a local minimum only; `--certify` checks that, by multipliers and second derivatives. Kinds: the
+servo in Python, in C, and the robot of the server, commanded by servo_cp in time of its own. With `--reach` the targets
+are tips of random joint values, and what counts is whether they are reached. With `--seek` commands ask for the closest
 pose.
 """
 
@@ -17,13 +19,15 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -63,7 +67,7 @@ ACTIVE, NEAR_FLOOR, STEP, FLAT, SOME = 1e-6, 0.012, 4e-5, 1e-3, 1e-4
 inside; shares of the largest second derivative below which one counts as 0, and of the slope below which a multiplier
 does."""
 
-EVERY = 5
+EVERY = 10
 """Steps after which the way of a motion is followed."""
 
 SEARCHED = 600.0
@@ -81,6 +85,8 @@ class Rest:
     """Seconds from NEAR its last place to its last motion; infinite where it does not rest."""
     reversals: int
     """In the last RESTED seconds, of the joint with the most."""
+    rate: float
+    """Largest rate of a joint over its limit."""
     acceleration: float
     """Largest acceleration over its limit."""
     margin: float
@@ -150,6 +156,7 @@ def lead(servo: Any, target: Array, dt: float, server: bool, seek: bool = False)
     return Rest(
         max(settled, 0.0),
         max(int((np.diff(each) != 0).sum()) for each in signs),
+        float((np.abs(speed) / rates).max()),
         float((np.abs(np.diff(speed, axis=0)) / dt / limits).max()),
         margin,
         float(np.linalg.norm(tips[-1] - target)),
@@ -172,13 +179,24 @@ def posed(robot: Robot, random: np.random.Generator, floor: float) -> tubeopt.Eq
                 return arm
 
 
-def closest(robot: Robot, start: Any, target: Array, floor: float) -> float:
-    """Distance (m) to which inverse kinematics comes from a start."""
+def closest(robot: Robot, target: Array, floor: float) -> float:
+    """Distance (m) to which `ik --closest` comes."""
     options = tubeopt.InverseOptions(time_limit=SEARCHED)
-    result = tubeopt.inverse_kinematics(
-        robot, target, start=start, on_failure="closest", min_margin=floor, options=options
-    )
+    result = tubeopt.inverse_kinematics(robot, target, on_failure="closest", min_margin=floor, options=options)
     return float(np.linalg.norm(result.equilibrium.tip_position - target))
+
+
+def reachable(robot: Robot, start: tubeopt.Equilibrium, target: Array, floor: float) -> bool:
+    """Whether a way without a snap, above the floor, from a start to the pose of `ik --closest` is found."""
+    options = tubeopt.InverseOptions(time_limit=SEARCHED)
+    found = tubeopt.inverse_kinematics(
+        robot, target, start=start, on_failure="closest", reachable=True, min_margin=floor, options=options
+    )
+    path = found.path
+    if not found.reachable or path is None:
+        return False
+    way = tubeopt.follow(robot, path.rotations, path.translations, start=start)
+    return not way.snaps and min(each.margin for each in way.equilibria) > floor
 
 
 def lowest(robot: Robot, rest: tubeopt.Equilibrium, target: Array, floor: float) -> float:
@@ -289,41 +307,49 @@ def on_side(rest: tubeopt.Equilibrium, target: Array, floor: float, side: tuple[
     return "saddle" if (values < -FLAT * largest).any() else "minimum" if steep.all() else "flat", gain
 
 
-def measure(name: str, asked: argparse.Namespace, number: int) -> list[dict[str, Any]]:
-    """Motions of one robot: as many that end out of reach, or with `--reach` as many targets within."""
+def measure(name: str, asked: argparse.Namespace, known: Sequence[dict[str, Any]]) -> Iterator[dict[str, Any]]:
+    """Motions of one robot, one after another, with what a file knows of them: as many as one wants."""
     robot = tubeopt.load_robot(name)
-    longest, out, k = joint_space(robot).longest, list[dict[str, Any]](), asked.first
-    while len(out) < number:
-        random = np.random.default_rng([asked.seed, *name.encode(), k])
-        start = posed(robot, random, asked.floor)
-        if asked.reach:
-            target = posed(robot, random, asked.floor).tip_position
-        else:
-            target = random.normal(size=3)
-            target *= longest * random.uniform() ** (1 / 3) / np.linalg.norm(target)
-        servo = made(robot, (start.rotations, start.translations), asked)
-        result = lead(servo, target, asked.dt, asked.kind == "server", asked.seek)
-        row = vars(result) | {"robot": name, "case": k, "joints": [each.tolist() for each in result.joints]}
-        del row["path"], row["tip"]
-        if asked.snap_deg:
+    longest, counted = joint_space(robot).longest, 0
+    for k in itertools.count(asked.first):
+        same = [row for row in known if (row["robot"], row["case"]) == (name, k)]
+        row = next((row for row in same if row["of"] == asked.kind), None)
+        if row is None:
+            random = np.random.default_rng([asked.seed, *name.encode(), k])
+            start = posed(robot, random, asked.floor)
+            if asked.reach:
+                target = posed(robot, random, asked.floor).tip_position
+            else:
+                target = random.normal(size=3)
+                target *= longest * random.uniform() ** (1 / 3) / np.linalg.norm(target)
+            servo = made(robot, (start.rotations, start.translations), asked)
+            result = lead(servo, target, asked.dt, asked.kind == "server", asked.seek)
+            row = vars(result) | {"robot": name, "case": k, "of": asked.kind}
+            row["joints"] = [each.tolist() for each in result.joints]
+            del row["path"], row["tip"]
             row["snaps"] = snaps(robot, start, result)
-        k += 1
-        if not asked.reach and result.distance < NEAR:
-            continue
-        if len(out) < asked.certify:
-            rest = tubeopt.follow(robot, *np.split(result.path, 2, axis=1), start=start).equilibria[-1]
-            row["kind"], row["gain"] = local(robot, rest, target, asked.floor)
-            if np.linalg.norm(rest.tip_position - result.tip) > ARRIVED:
-                row["kind"] = "another branch"
-        if len(out) < asked.compare:
-            row["closest"] = closest(robot, start, target, asked.floor)
-            if row["closest"] < result.distance - CLOSER:
-                rest = tubeopt.follow(robot, *([each] for each in result.joints), start=start).equilibria[-1]
-                row["closest from rest"] = lowest(robot, rest, target, asked.floor)
-        out.append(row)
-        if asked.verbose:
-            print(row, file=sys.stderr, flush=True)
-    return out
+            if counts(row, asked) and counted < asked.certify:
+                rest = tubeopt.follow(robot, *np.split(result.path, 2, axis=1), start=start).equilibria[-1]
+                row["kind"], row["gain"] = local(robot, rest, target, asked.floor)
+                if np.linalg.norm(rest.tip_position - result.tip) > ARRIVED:
+                    row["kind"] = "another branch"
+            if counts(row, asked) and counted < asked.compare:
+                others = [row["closest"] for row in same if "closest" in row]
+                row["closest"] = others[0] if others else closest(robot, target, asked.floor)
+                if row["closest"] < result.distance - CLOSER:
+                    rest = tubeopt.follow(robot, *([each] for each in result.joints), start=start).equilibria[-1]
+                    row["closest from rest"] = lowest(robot, rest, target, asked.floor)
+                    row["way"] = asked.seek and reachable(robot, start, target, asked.floor)
+            if asked.jsonl:
+                with asked.jsonl.open("a") as file:
+                    print(json.dumps(row), file=file)
+        counted += counts(row, asked)
+        yield row
+
+
+def counts(row: dict[str, Any], asked: argparse.Namespace) -> bool:
+    """Whether a motion is one that is asked for."""
+    return bool(asked.reach or row["distance"] >= NEAR)
 
 
 def snaps(robot: Robot, start: tubeopt.Equilibrium, result: Rest) -> bool:
@@ -343,12 +369,14 @@ def summary(name: str, rows: Sequence[dict[str, Any]]) -> list[str]:
         f"{np.median(settled):.2f}",
         f"{settled.max():.2f}",
         sum(row["reversals"] >= REVERSALS for row in rows),
+        f"{max(row['rate'] for row in rows):.9f}",
         f"{max(speeds):.9f}",
         f"{min(row['margin'] for row in rows):.4f}",
         sum(row["distance"] > ARRIVED and not row["why"] for row in rows),
         sum(row["distance"] < NEAR for row in rows),
         f"{sum(each <= CLOSER for each in off)} of {len(known)}",
         sum(row["distance"] - row.get("closest from rest", np.inf) > CLOSER for row in known),
+        sum(row.get("way", False) for row in known),
         f"{np.median([row['milliseconds'] for row in rows]):.3f}",
         sum(row.get("snaps", 0) for row in rows),
         ", ".join(f"{count} {kind}" for kind, count in Counter(row["kind"] for row in rows if "kind" in row).items()),
@@ -360,7 +388,7 @@ def summary(name: str, rows: Sequence[dict[str, Any]]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
-    parser.add_argument("--number", type=int, default=1000, help="of targets, over all robots")
+    parser.add_argument("--targets", type=int, default=1000, help="number, over all robots")
     parser.add_argument("--kind", choices=("python", "c", "server"), default="c")
     parser.add_argument("--compare", type=int, default=0, help="motions of each robot compared with ik --closest")
     parser.add_argument("--seek", action="store_true", help="commands that ask for the closest pose")
@@ -372,17 +400,26 @@ def main() -> None:
     parser.add_argument("--reach", action="store_true", help="targets within reach")
     parser.add_argument("--unlimited", action="store_true", help="without limits of accelerations")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
+    parser.add_argument("--jsonl", type=Path, help="file of motions, a line each, to go on with")
     parser.add_argument("--verbose", action="store_true", help="each motion as it ends")
     parser.add_argument("--json", action="store_true", help="each motion, as JSON")
     asked = parser.parse_args()
-    rows = []
-    for name in asked.robots:
-        rows += measure(name, asked, asked.number // len(asked.robots))
+    known = []
+    if asked.jsonl and asked.jsonl.exists():
+        known = [json.loads(line) for line in asked.jsonl.read_text().splitlines()]
+    # In turn, so that an unfinished file is of all robots alike.
+    motions, rows = {name: measure(name, asked, known) for name in asked.robots}, list[dict[str, Any]]()
+    for _ in range(asked.targets // len(asked.robots)):
+        for name in asked.robots:
+            rows.append(next(row for row in motions[name] if counts(row, asked)))
+            if asked.verbose:
+                print(rows[-1], file=sys.stderr, flush=True)
     if asked.json:
         dump({"motions": rows})
         return
-    first = "", "motions", "s to rest", "most", "reverse", "a / limit", "least margin"
-    columns = *first, "no reason", "met", "as close", "closer from rest", "ms / step", "snaps", "kinds", "gain, nm"
+    first = "", "motions", "s to rest", "most", "reverse", "rate / limit", "a / limit", "least margin"
+    named = "no reason", "met", "as close", "closer from rest", "closer by a way"
+    columns = *first, *named, "ms / step", "snaps", "kinds", "gain, nm"
     lines = [summary(name, [row for row in rows if row["robot"] == name]) for name in asked.robots]
     show([table("motions to random targets", columns, [*lines, summary("all", rows)])], [])
 

@@ -24,6 +24,7 @@ from tubeopt import (
     SolveError,
     Tube,
     forward_kinematics,
+    forward_kinematics_batch,
     inverse_kinematics,
 )
 from tubeopt.bodies.obstacles import Scene, Sphere
@@ -337,6 +338,19 @@ class TestOutOfReach:
             for starts in (1, 2, 4, 8)
         ]
         assert (np.diff(missed) <= 1e-7 * 0.4).all()
+
+    def test_the_closest_pose_is_not_that_of_one_valley(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """From a start in the valley of a local minimum, at 303.3 mm, it is closer than any of many random poses."""
+        monkeypatch.setattr("tubeopt.inverse.multistart.solve_program", lambda *_: pytest.fail("a program is solved"))
+        target, valley = np.array([0.391, -0.032, 0.003]), ([0.1, 2.7, -2.1], [-0.057, -0.025, -0.019])
+        options = InverseOptions(starts=1, method="gauss_newton")
+        closest = inverse_kinematics(THESIS, target, start=valley, on_failure="closest", options=options)
+        many = forward_kinematics_batch(THESIS, *np.split(joint_space(THESIS).sample(16384), 2, axis=1))
+        allowed = many.converged & (many.margin >= 0.05)
+        away = np.hypot(*many.tip_position[:, :2].T) - np.hypot(*target[:2]), many.tip_position[:, 2] - target[2]
+        assert closest.position_error < np.hypot(*away)[allowed].min() < 0.303
+        again = inverse_kinematics(THESIS, target, on_failure="closest", options=InverseOptions(starts=24))
+        assert again.position_error == pytest.approx(closest.position_error, abs=1e-5)
 
     @pytest.mark.parametrize("robot", [THESIS, CRL, ETR], ids=lambda robot: robot.name)
     def test_the_closest_pose_is_a_minimum(self, robot: Robot) -> None:

@@ -7,7 +7,7 @@ tip counts, which Gauss-Newton leaves out. A step that violates constraints is r
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +44,11 @@ RESTORATIONS = 12
 CURVATURE = 1e-6
 """Smallest curvature of the model, per square of a joint's scale."""
 
+# Where breakpoints meet, the gradient jumps: a short step across such a kink has a slope like 1e11, with which
+# Cholesky's factorisation fails.
+STEEPEST = 1e6
+"""Largest curvature that an update takes over, per square of a joint's scale."""
+
 SAME_END = 1e-3
 """Ends closer than this in every joint, in units of their scales, are one."""
 
@@ -64,17 +69,18 @@ def approach(goal: Goal, start: Posture) -> DescentSearch | None:
     return DescentSearch(end.iterate, goal.reached(end.iterate, 1e-8, 1e-8), end.steps, end.solves)
 
 
-def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> DescentSearch | None:
-    """Allowed posture with the smallest residual: each group of ends is polished in order, until several agree.
+def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]], starts: Iterable[Posture] = ()) -> DescentSearch | None:
+    """Allowed posture with the smallest residual.
 
-    More ends at the end of a group never make it worse. A later end replaces an earlier one only if it is closer
-    by more than round-off.
+    Each group of ends is polished in order, until several agree; then descents are made from all `starts`. More ends at
+    the end of a group never make it worse. A later end replaces an earlier one only if it is closer by more than
+    round-off.
     """
     best: DescentSearch | None = None
-    for ends in groups:
+    for ends, enough in [*((ends, AGREEING) for ends in groups), (starts, np.inf)]:
         smallest, agreeing = np.inf, 0
         for end in _distinct(goal, ends):
-            if agreeing >= AGREEING or (best is not None and goal.clock.over):
+            if agreeing >= enough or (best is not None and goal.clock.over):
                 break
             nearest = approach(goal, end)
             if nearest is None:
@@ -87,7 +93,7 @@ def closest_of(goal: Goal, groups: Sequence[Sequence[Posture]]) -> DescentSearch
     return best
 
 
-def _distinct(goal: Goal, ends: Sequence[Posture]) -> Iterator[Posture]:
+def _distinct(goal: Goal, ends: Iterable[Posture]) -> Iterator[Posture]:
     """Postures without those equal to an earlier one in the list."""
     distinct: list[Posture] = []
     for end in ends:
@@ -179,6 +185,8 @@ class _MissProblem(GoalProblem):
             theta = 0.8 * sBs / (sBs - sy)
             y = theta * y + (1 - theta) * Bs
             sy = float(s @ y)
+        if float(y @ y) > STEEPEST * sy:
+            return B
         B = B - np.outer(Bs, Bs) / sBs + np.outer(y, y) / sy
         return np.asarray(B + CURVATURE * np.eye(len(B)))
 
