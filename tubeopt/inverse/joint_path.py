@@ -21,7 +21,7 @@ from .joints import JointSpace
 from .miss import active_constraints
 from .posture import Posture, posture_of, same_posture
 from .search import find_path
-from .task import JointCoordinates, Task, TipCoordinates
+from .task import Coordinates, JointCoordinates, Task, TipCoordinates
 
 # Counted and not timed, so that a loaded machine finds the same path. On an idle core it is half of the 20 s that
 # `tubeopt ik` has for a target by default; the other half is left to the search of the answer.
@@ -72,7 +72,7 @@ def snap_free_path(
         return straight
     # With an end's own margin as the bound nothing around that end would be allowed.
     reserve = min(least_margin, 0.5 * start.margin, 0.5 * goal.margin)
-    coordinates = TipCoordinates(space) if space.robot.fixed_sections else JointCoordinates(space)
+    coordinates: Coordinates = TipCoordinates(space) if space.robot.fixed_sections else JointCoordinates(space)
     task = Task(coordinates, (), 0.0, 0.0, margin_reserve=reserve)
     budget = Clock(PATH_WORK, clock, lambda: task.work.seconds)
     try:

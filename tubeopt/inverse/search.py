@@ -434,7 +434,7 @@ def _obstructions(
         what = "margin and clearance" if task.obstacles else "the margin"
         if k == 0:
             reason = f"every path passes {section.name}, where {what} cannot be kept"
-            yield Obstruction(reason, not task.coordinates.eccentric)
+            yield Obstruction(reason, task.coordinates.proves)
         else:
             reason = f"{what} are kept at none" if task.obstacles else "the margin is kept at none"
             reason = f"every path passes {section.name}, where {reason} of {len(grid)} states on a grid"

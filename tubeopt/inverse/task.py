@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
@@ -37,7 +38,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..errors import SolveError
 from ..robots.load import Load
-from ..typing import Array, Delegate, Mask
+from ..typing import Array, Mask
 from .clock import Clock, OutOfTimeError
 from .joints import JointSpace
 
@@ -97,8 +98,8 @@ def _mapped(function: Callable[[Kind], Any], kind: Kind, count: int, thread: int
 
 
 @dataclass(frozen=True, eq=False)
-class TipCoordinates:
-    """Points z (m,) of a joint space: tip rotations (n,), rad, then the translation of every carriage, m.
+class Coordinates(ABC):
+    """Points z (m,) for equilibria of a joint space: n angles, rad, then the translation of every carriage, m.
 
     `load` acts on the arms of all points.
     """
@@ -106,31 +107,41 @@ class TipCoordinates:
     space: JointSpace
     load: Load | None = None
 
-    eccentric = Delegate[bool]("kind")
+    @property
+    @abstractmethod
+    def proves(self) -> bool:
+        """True if every equilibrium has a point with its exact margin: what no point keeps, no equilibrium does."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """Number of operations per equilibrium."""
+
+    @abstractmethod
+    def of(self, equilibrium: Equilibrium) -> Array:
+        """Point (m,) of an equilibrium."""
+
+    @abstractmethod
+    def rotations(self, z: Array) -> Array:
+        """Joint rotations (N, n) at points z (N, m)."""
+
+    @abstractmethod
+    def arms(self, z: Array, margin: float | Array, clock: Clock | None = None) -> ArmBatch:
+        """Arms of points z (N, m); stable are those with at least `margin`, one number or (N,).
+
+        Raises:
+            OutOfTimeError: the clock is over before all of them are computed.
+        """
 
     @cached_property
     def parameters(self) -> Array:
-        """Numbers of the robot for the integration."""
+        """Numbers of the robot for the integration; raises InputError for a bundle."""
         return explicit_parameters(self.space.robot)
-
-    @cached_property
-    def kind(self) -> Kind:
-        """Structure of a robot that selects the compiled integration."""
-        return explicit_kind(self.space.robot)
 
     @cached_property
     def radius(self) -> Array:
         """Radius (n,) of the arm, m, where tube i is the outermost one."""
         return outer_radius(self.space.robot)
-
-    @cached_property
-    def size(self) -> int:
-        """Number of operations per equilibrium."""
-        return explicit_size(self.kind)
-
-    def of(self, equilibrium: Equilibrium) -> Array:
-        """Point (m,) of an equilibrium."""
-        return self.space.join(equilibrium.tip_rotations, equilibrium.translations)
 
     def translations(self, z: Array) -> Array:
         """Translations (N, n) of points (N, m)."""
@@ -140,6 +151,29 @@ class TipCoordinates:
         """Independent joint values (N, m) of points; `arms` are their arms if known."""
         rotations = self.rotations(z) if arms is None else arms.rotations
         return np.concatenate([rotations, z[:, self.space.robot.n_tubes :]], axis=1)
+
+
+class TipCoordinates(Coordinates):
+    """Points z (m,) with the rotations of the tubes at their own ends, which have exactly one equilibrium."""
+
+    @property
+    def proves(self) -> bool:
+        """True unless tubes are eccentric: their margin is an indicator."""
+        return not self.kind.eccentric
+
+    @cached_property
+    def kind(self) -> Kind:
+        """Structure of a robot that selects the compiled integration."""
+        return explicit_kind(self.space.robot)
+
+    @cached_property
+    def size(self) -> int:
+        """Number of operations per equilibrium."""
+        return explicit_size(self.kind)
+
+    def of(self, equilibrium: Equilibrium) -> Array:
+        """Point (m,) of an equilibrium."""
+        return self.space.join(equilibrium.tip_rotations, equilibrium.translations)
 
     def rotations(self, z: Array) -> Array:
         """Joint rotations (N, n) at points z (N, m), equal to those of `arms`, in a sixth of the time."""
@@ -180,10 +214,10 @@ class TipCoordinates:
         return [rotations, fields, *curves, s.reshape(count, -1)]
 
 
-class JointCoordinates(TipCoordinates):
+class JointCoordinates(Coordinates):
     """Points of a robot without an explicit map from the tip, as of bundles: joint values, with cold solutions."""
 
-    eccentric = True
+    proves = False  # joint values may have further equilibria
     size = 120_000
     """Operations of the kernel of bundles: 0.3 ms."""
 
@@ -273,7 +307,7 @@ class Task:
     steps, and a quarter of these at half the steps.
     """
 
-    coordinates: TipCoordinates
+    coordinates: Coordinates
     """Space that is searched."""
     obstacles: tuple[Obstacle, ...]
     min_margin: float

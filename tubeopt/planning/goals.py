@@ -33,6 +33,7 @@ from ..inverse.goal import Goal, unit_vector
 from ..inverse.joints import JointSpace, joints_of
 from ..inverse.multistart import known_starts, nearest_starts, spread_starts
 from ..inverse.posture import start_at
+from ..inverse.task import TipCoordinates
 from ..robots.limits import check_target
 from ..robots.load import Load
 from ..robots.robot import Robot
@@ -458,7 +459,8 @@ def _equilibria(task: PlanTask, start: Equilibrium, goal: Any, clock: Clock) -> 
         return _first_reachable(task, start, tip_goal.single_goals(), clock), False
     rotations, shift = joints_of(space, "goal", goal)
     equilibria: list[Equilibrium] = []
-    few = task.coordinates.eccentric or space.robot.n_tubes <= SEARCHED_TUBES
+    chart = task.coordinates
+    few = isinstance(chart, TipCoordinates) and (chart.kind.eccentric or space.robot.n_tubes <= SEARCHED_TUBES)
     # All equilibria of a bundle cannot be searched: the one of `fk` is taken.
     if space.robot.fixed_sections and (few or clock.left > SEARCH_SECONDS):
         with suppress(SolveError):

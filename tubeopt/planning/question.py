@@ -21,7 +21,7 @@ from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, OneOf, Typical, check
 from ..inverse.clock import Clock, OutOfTimeError
 from ..inverse.joints import JointSpace, joint_space, shift_of
 from ..inverse.search import SEARCHES, PathResult
-from ..inverse.task import ArmBatch, JointCoordinates, Task, TipCoordinates
+from ..inverse.task import ArmBatch, Coordinates, JointCoordinates, Task, TipCoordinates
 from ..robots.limits import JointLimits
 from ..robots.load import Load
 from ..robots.robot import Robot, check_robot
@@ -251,6 +251,7 @@ def plan_task(
     rate_limits.of(space)
     if options.max_force and rate_limits.tip is not None:
         raise InputError("rate_limits.tip and max_force are both given; there is no bound on the tip speed under force")
+    coordinates: Coordinates
     if robot.fixed_sections:
         coordinates = TipCoordinates(space) if load is None else _loaded(space, load, options)
     else:

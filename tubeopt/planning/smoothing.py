@@ -32,7 +32,7 @@ from ..block.transcription.explicit import Kind, explicit_arm, explicit_joints
 from ..bodies.obstacles import Obstacle
 from ..equilibrium.result import Equilibrium
 from ..inverse.clock import Clock
-from ..inverse.task import ArmBatch
+from ..inverse.task import ArmBatch, TipCoordinates
 from ..solvers.settings import NO_SENSITIVITIES
 from ..typing import Array
 from .knots import (
@@ -373,11 +373,12 @@ def _solve(
 
     `step`: durations of the intervals, as fractions of the time; `reserve` (2,) of margin and clearance (m) at knots.
     """
-    z = knots[0]
-    space, n = task.coordinates.space, task.coordinates.space.robot.n_tubes
+    z, chart = knots[0], task.coordinates
+    assert isinstance(chart, TipCoordinates)  # `plan` smooths motions of robots with fixed sections only
+    space, n = chart.space, chart.space.robot.n_tubes
     scale, rate, acceleration = task.scale, limits.rate, limits.acceleration
     question = PathQuestion(
-        kind=task.coordinates.kind,
+        kind=chart.kind,
         carriages=space.carriages,
         intervals=len(step),
         rows=len(space.row_lower),
@@ -392,7 +393,7 @@ def _solve(
     length = max(float(np.linalg.norm(np.diff(q / scale, axis=0), axis=1).sum()), 1e-9)
     weights = np.array(WEIGHTS[objective]) * [length**-2, 1.0, length**-2, 1.0]
     p = program.values(
-        robot=task.coordinates.parameters,
+        robot=chart.parameters,
         offset=space.offset[n:],
         scale=scale,
         rate=rate / scale * unit,
