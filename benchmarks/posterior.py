@@ -90,7 +90,14 @@ PATH = Way()
 
 
 def measure(
-    setup: Setup, rows: int, seed: int, *, poses: bool = False, drawn: ConcentricRobot = ROBOT, path: Way = PATH
+    setup: Setup,
+    rows: int,
+    seed: int,
+    *,
+    poses: bool = False,
+    drawn: ConcentricRobot = ROBOT,
+    path: Way = PATH,
+    noise: float = NOISE,
 ) -> Measurements:
     """A path there and back, then half as far and twice as fast, as the laboratory records it."""
     time = np.arange(rows) / RATE
@@ -112,7 +119,7 @@ def measure(
         raise SolveError("the truth cannot be followed")
     place, random = (np.random.default_rng(1000 + (seed if each is None else each)) for each in (path.frame, seed))
     turn, base = Rotation.random(rng=place).as_matrix(), place.uniform(-0.3, 0.3, 3)
-    tips = result.position[:, 0] @ turn.T + base + random.normal(0, NOISE, (rows, 3))
+    tips = result.position[:, 0] @ turn.T + base + random.normal(0, noise, (rows, 3))
     wobble = Rotation.from_rotvec(random.normal(0, WOBBLE, (rows, 3))).as_matrix()
     return Measurements(
         m.rotations, m.translations, tips, time=time, orientation=turn @ result.frame @ wobble if poses else None

@@ -21,10 +21,11 @@ from tubeopt.robots.calibration import Posterior
 from tubeopt.runs.plan_study import Required, load_plan_study, of_real_robot
 from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty, validate
 from tubeopt.validation.certainty import certificate_bounds
-from tubeopt.validation.effects import Setup, heated_pieces, heated_shape
+from tubeopt.validation.effects import Setup
 from tubeopt.validation.measurements import Timeline
 from tubeopt.validation.model import solve_poses
 from tubeopt.validation.posterior import Places, estimate_misfit
+from tubeopt.validation.tube_shapes import heated_pieces, shape_of
 
 from .drives import RATE, joints, robot, trivial
 from .laboratory import MM
@@ -259,9 +260,11 @@ def test_heated_tubes_are_known_again(tmp_path: Path) -> None:
         for bend in (9.123456789, -4.1):
             pieces = heated_pieces(tube.curved_length, bend, dead, fade)
             made = Tube.of_pieces(tube.outer_diameter, tube.inner_diameter, pieces, straight_length=0.1)
-            assert heated_shape(made) == pytest.approx((dead, fade), abs=1e-12)
+            shape = shape_of(made)
+            assert shape is not None
+            assert shape[:3] == pytest.approx((bend, dead, fade), abs=1e-12)
     other = Tube.of_pieces(tube.outer_diameter, tube.inner_diameter, pieces[:4], straight_length=0.1)
-    assert heated_shape(other) is None
+    assert shape_of(other) is None
 
 
 def test_the_posterior_is_saved_and_read_by_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

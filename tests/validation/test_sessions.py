@@ -16,9 +16,9 @@ from tubeopt.robots.calibration import Calibration
 from tubeopt.runs.measurement_file import save_measurements
 from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, choose_parameters, compare_effects, fit, validate
-from tubeopt.validation.effects import heated_pieces
 from tubeopt.validation.model import ParameterState
 from tubeopt.validation.sessions import Sessions
+from tubeopt.validation.tube_shapes import heated_pieces
 
 from .drives import RATE, poses, robot, trivial
 from .laboratory import MM

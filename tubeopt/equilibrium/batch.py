@@ -25,7 +25,7 @@ from ..solvers.compiled.loaded import solve_many_loaded_compiled
 from ..solvers.settings import NEWTON
 from ..solvers.time_limit import LONG_TIME_LIMIT, check_time, limited
 from ..typing import Array, Index, Mask, StatusEnum
-from .kinematics import TOLERANCE, SolveRequest, forward_kinematics, largest_error, unloaded
+from .kinematics import KERNEL_MESHES, TOLERANCE, SolveRequest, forward_kinematics, largest_error, unloaded
 from .member import sample_arms
 from .problem import check_load, loaded_rules
 
@@ -284,7 +284,7 @@ def _solve_rows(robot: Robot, alpha: Array, shift: Array, rows: slice, table: Ar
     unsolved: Index = np.arange(rows.start, rows.stop)
     straight, curved = np.array([(tube.straight_length, tube.curved_length) for tube in robot.tubes]).T
     n = robot.n_tubes
-    for refinement in (0, 1):
+    for refinement in KERNEL_MESHES:
         if not len(unsolved):
             break
         result = solve_many_compiled(robot, alpha[unsolved], shift[unsolved], None, refinement)

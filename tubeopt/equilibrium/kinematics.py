@@ -316,21 +316,27 @@ SHORT_ARM = 0.1
 """Smallest length of an arm, over the longest tube's, for which tubes couple noticeably."""
 
 
+KERNEL_MESHES: tuple[int, ...] = (0, 1, 2)
+"""Halvings of the default mesh that the compiled kernel tries: the last for tubes that vary along their length.
+
+Its memory holds the elements of the first two for all tubes, of the third for most; it declines others.
+"""
+
+
 def unloaded(
     robot: Robot, rotations: Array, translations: Array, guess: Equilibrium | None, request: SolveRequest
 ) -> Equilibrium | None:
     """Stable equilibrium without a load, from tubes without torsion or by a small motion from a guess.
 
-    It is solved on the default mesh or, where that is too coarse, with elements half as long.
+    It is solved on the default mesh or, where that is too coarse, on finer ones.
     """
-    max_change, refinements = LARGEST_TWIST, [0, 1]
+    max_change, refinements = LARGEST_TWIST, KERNEL_MESHES
     if guess is not None:
         if guess.margin <= 0 or not small_motion(guess, rotations, translations):
             return None
         max_change = largest_twist(guess.margin)
         if not robot.fixed_sections:
-            refinements = [guess.statistics.refinement]  # a bundle keeps the mesh of its start
-    # Finer meshes are left to the general solver: the kernel has static memory for the elements of these two.
+            refinements = (guess.statistics.refinement,)  # a bundle keeps the mesh of its start
     for refinement in refinements:
         solved = _by_kernel(robot, rotations, translations, guess, refinement)
         if solved is None or solved.largest_change > max_change:

@@ -472,6 +472,26 @@ class Piece(Displayed):
         return replace(self, precurvature=(times(x, factor), times(y, factor), z))
 
 
+def bent_along(pieces: Sequence[Piece], x: tuple[float, ...], y: tuple[float, ...]) -> tuple[Piece, ...]:
+    """Pieces with a precurvature added that varies along all of them.
+
+    Args:
+        x, y: Chebyshev coefficients of what is added about x and y, along the whole, 1/m.
+    """
+    ends = np.cumsum([0.0, *(piece.length for piece in pieces)])
+    added = [Series((0.0, float(ends[-1])), (part,)) for part in (x, y)]
+    out = []
+    for piece, low in zip(pieces, ends, strict=False):
+        breaks = breaks_of(piece.precurvature[:2], piece.length)
+        bends = []
+        for quantity, more in zip(piece.precurvature, added, strict=False):
+            panels = zip(on_panels(quantity, breaks), on_panels(more, low + breaks), strict=True)
+            table = tuple(tuple(chebyshev.chebadd(*both).tolist()) for both in panels)
+            bends.append(Series(tuple(breaks.tolist()), table))
+        out.append(replace(piece, precurvature=(*bends, piece.precurvature[2])))
+    return tuple(out)
+
+
 def check_table(s: Array, u: Array, name: str, unit: float) -> None:
     """Raise InputError unless arc lengths (k,), shown in `unit` (m), rise from 0 and u is (k, 3), all finite."""
     if s.ndim != 1 or len(s) < 2 or u.shape != (len(s), 3):

@@ -127,6 +127,8 @@ def estimate_rows(c: Commissioning) -> list[tuple[str, str, str]]:
     """Rows (name, value, interval with what the model lacks) of all fitted parameters."""
     rows = []
     for e in c.fit.estimates:
+        if e.learned:
+            continue
         unit = DEVIATIONS[e.unit]
         value, low, high = (in_units(x, unit) for x in (e.value, e.posterior_low, e.posterior_high))
         sign = SIGNS.get(unit, unit)

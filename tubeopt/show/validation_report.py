@@ -204,6 +204,10 @@ FIT_ERRORS: tuple[Quantity[Fit], ...] = (
 FIT = described(
     Fit,
     Quantity("estimates", "the parameters, with their intervals", lambda f: [_estimate(e) for e in f.estimates]),
+    Quantity("learned_per_m", "learned change of the precurvature, root mean square along each tube",
+             lambda f: None if f.learned is None else list(f.learned), label="learned change of the curvature",
+             text=lambda f: None if f.learned is None else
+             ", ".join(f"{x:.2f} 1/m of tube {k}" for k, x in enumerate(f.learned, start=1))),
     "confidence correlation noise remarks axis_noise",
     Quantity("calibration", "calibration of drives, sensor, plate and registration, as in robot.yaml",
              lambda f: None if f.robot.calibration is None else calibration_to_dict(f.robot.calibration),
@@ -235,6 +239,8 @@ class FitReport(Report[Fit]):
         """A row per parameter, then the remarks."""
         cells = []
         for e in self.answer.estimates:
+            if e.learned:  # a dozen numbers per tube, which say something together only
+                continue
             unit = DEVIATIONS[e.unit]
             sign = f" {SIGNS.get(unit, unit)}" if unit else ""
             names = ("start", "value", "low", "high", "posterior_low", "posterior_high")

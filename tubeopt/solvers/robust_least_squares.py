@@ -199,7 +199,8 @@ def descend(
         low, high = bounds - state.x
         range_of_step = np.append(low, -free), np.append(high, free)
         square, slope = normal_equations(model, weights, state, residuals, slopes)
-        relative = max(solver.settled, NEARLY_SETTLED) if model.costly(state) else solver.settled
+        costly = model.costly(state)
+        relative = max(solver.settled, NEARLY_SETTLED) if costly else solver.settled
         before, accepted, enough = cost, False, relative * cost + solver.round_off * len(residuals)
         while not accepted and damping < MAX_DAMPING:
             step = bounded_step(square, slope, range_of_step, damping=damping)
@@ -214,6 +215,8 @@ def descend(
                 trial_cost, obstacle = np.inf, str(error).splitlines()[0]
             accepted = trial_cost <= cost
             if accepted:
+                if costly and jacobian is None:
+                    slopes = secant(slopes, step, trial_residuals - residuals, np.diag(square))
                 # The lower limit keeps a later rise within ten steps.
                 state, residuals, cost, damping = trial, trial_residuals, trial_cost, max(damping / 10, 1e-9)
             elif not fresh:
@@ -228,9 +231,19 @@ def descend(
             # The model's decrease of |r|^2: slope is half the gradient.
             promised = float(-2 * slope @ step - step @ square @ step)
             serves = accepted and before - cost > max(float(enough), FAITHFUL * promised)
-            fresh = not (serves and model.costly(state))
+            fresh = not (serves and costly)
             slopes = model.jacobian(state) if fresh else slopes
     return RobustDescent(state, residuals, slopes, False, obstacle)
+
+
+def secant(slopes: Array, step: Array, change: Array, metric: Array) -> Array:
+    """Derivatives (V, k, Q) with the least change that explains a step (Q,) and the change (V, k) of the residuals.
+
+    Broyden, Math. Comput. 19 (1965); the metric (Q,) makes it independent of units.
+    """
+    along = metric * step
+    size = float(along @ step)
+    return slopes + ((change - slopes @ step) / size)[..., None] * along if size > 0 else slopes
 
 
 def cost_of(model: Observed[P], weights: Weights, state: P, residuals: Array) -> float:

@@ -46,7 +46,10 @@ PROBABILITIES = (0.95, 0.999)
 WITHOUT_SHAPE = (*MOUNTS, "clearance", "translation_compliance")
 
 # Kinds that change a tube otherwise than by its dimensions.
-RESHAPED = ("dead_length", "fade", "piece_curvature")
+RESHAPED = ("dead_length", "fade", "piece_curvature", "learned_curvature")
+
+# Kinds that do not scale a tube as a whole, if it has a learned change.
+SCALED = ("curvature", "curved_length")
 
 # Steps of differences, in standard deviations: of numbers of a robot, which are nearly linear, of equilibria, and of
 # quantities with kinks.
@@ -140,7 +143,8 @@ class RealRobots:
         tips, margins = np.zeros((3, len(values))), np.zeros(len(values))
         for k, p in enumerate(self.parameters):
             deviation = float(np.linalg.norm(self.factor[k])) or p.scale
-            differs = p.kind in RESHAPED or not np.isfinite(margin).all()
+            reshaped = p.kind in RESHAPED or (p.kind in SCALED and self.first.learned.any())
+            differs = reshaped or not np.isfinite(margin).all()
             step = (STEP if differs else SMALL) * deviation
             sides_of_p = [np.clip(values[k] + side * step, p.low, p.high) for side in (1, -1)]
             reals = []

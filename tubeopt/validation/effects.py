@@ -20,11 +20,12 @@ from ..robots.assembly import DIMENSIONS, dimensions_of
 from ..robots.calibration import Calibration
 from ..robots.concentric import ConcentricRobot, Friction, friction_of
 from ..robots.eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
-from ..robots.pieces import Piece, Series, at
+from ..robots.pieces import Piece
 from ..robots.robot import Robot, drawn_clearance
 from ..robots.tubes import Tube
 from ..typing import Array
 from .measurements import Measurements
+from .tube_shapes import DEGREES, MODES, TubeShape, shape_of, with_learned
 
 CommonRobot = ConcentricRobot | EccentricRobot | SegmentedEccentricRobot | BundleRobot
 
@@ -55,6 +56,8 @@ class Setup:
     """(m,) straight lengths at either end of the curved part, m."""
     fade: Array
     """(m,) lengths along which the precurvature rises behind one dead length and falls before the other, m."""
+    learned: Array
+    """(m * MODES,) learned changes of the precurvatures along the tubes, 1/m, see `TubeShape.learned`."""
     piece_curvature: Array
     """(p,) additions to the precurvature of `pieces`, 1/m."""
     plate_shift: Array
@@ -78,6 +81,9 @@ class Setup:
         extra = robot.transmission_length if isinstance(robot, EccentricRobot) else 0.0
         dimensions = dimensions_of(tubes)
         dimensions["straight_length"] += extra
+        shapes = shapes_of(robot)
+        bends = zip(shapes, dimensions["curvature"].tolist(), strict=True)
+        dimensions["curvature"] = np.array([bend if shape is None else abs(shape.bend) for shape, bend in bends])
         drives = robot.calibration or Calibration.none(robot.n_tubes)
         pieces = tuple((k, j) for k, tube in enumerate(tubes) if len(tube.pieces) > 1 for j in range(len(tube.pieces)))
         return cls(
@@ -85,7 +91,9 @@ class Setup:
             friction=torque,
             clearance=clearance,
             **dimensions,
-            **heated_shapes(tubes),
+            dead_length=np.array([0.0 if shape is None else shape.dead for shape in shapes]),
+            fade=np.array([0.0 if shape is None else shape.fade for shape in shapes]),
+            learned=np.concatenate([np.zeros(MODES) if shape is None else shape.learned for shape in shapes]),
             piece_curvature=np.zeros(len(pieces)),
             **{name: np.array(getattr(drives, name)) for name in MOUNTS},
             transmission=extra,
@@ -112,7 +120,8 @@ class Setup:
         if self.same_tubes(first):
             tubes = members(base)
         else:
-            tubes = tuple(self._tube(tube, k, first) for k, tube in enumerate(members(base)))
+            each = enumerate(zip(members(base), shapes_of(base), strict=True))
+            tubes = tuple(self._tube(tube, shape, k, first) for k, (tube, shape) in each)
         mounts: dict[str, Any] = {name: tuple(getattr(self, name).tolist()) for name in MOUNTS}
         pairs = zip(self.drives.rotation_gains, self.drives.rotation_middles, strict=True)
         middles = tuple(middle if gain != 1.0 else 0.0 for gain, middle in pairs)
@@ -134,22 +143,25 @@ class Setup:
             return replace(base, tubes=tubes, calibration=drives)
         raise InputError(f"robot is a {type(base).__name__}; only robots that a file can describe can be calibrated")
 
-    def _tube(self, tube: Tube, k: int, first: Setup) -> Tube:
+    def _tube(self, tube: Tube, shape: TubeShape | None, k: int, first: Setup) -> Tube:
         lengthened = float(self.straight_length[k] - first.straight_length[k])
         changed: dict[str, Any] = {"straight_length": max(0.0, tube.straight_length + lengthened)}
         changed |= {name: float(getattr(self, name)[k]) for name in ("curvature", "curved_length")}
         kb, kt = float(self.bending_stiffness[k]), float(self.torsional_stiffness[k])
         if kb != first.bending_stiffness[k] or kt != first.torsional_stiffness[k]:
             changed |= {"bending_stiffness": kb, "torsional_stiffness": kt}
-        dead, fade = float(self.dead_length[k]), float(self.fade[k])
-        given = dead == first.dead_length[k] and fade == first.fade[k]
-        if not given and (not tube.pieces or heated_shape(tube)):
-            bend = changed["curvature"] * (np.sign(bend_of(tube.pieces)) if tube.pieces else 1.0)
-            pieces = heated_pieces(changed["curved_length"], bend, dead, fade)
-            changed |= {"pieces": pieces, "curvature": max(piece.largest_curvature for piece in pieces)}
-            changed["curved_length"] = math.fsum(piece.length for piece in pieces)
-            return replace(tube, **changed)
-        return replace(tube, **changed | self._pieces(tube, k, first))
+        dead, fade, modes = float(self.dead_length[k]), float(self.fade[k]), slice(k * MODES, (k + 1) * MODES)
+        learned, before = self.learned[modes], first.learned[modes]
+        drawn = dead == first.dead_length[k] and fade == first.fade[k] and not (learned.any() or before.any())
+        if not drawn and (not tube.pieces or shape is not None):
+            bend = changed["curvature"] * (1.0 if shape is None else np.sign(shape.bend))
+            pieces = TubeShape(bend, dead, fade, learned).pieces(changed["curved_length"])
+            return replace(tube, **changed | _of_pieces(pieces))
+        changed |= self._pieces(tube, k, first)
+        if learned.any():  # the tube is a chain of other pieces
+            scaled = replace(tube, **changed)
+            changed |= _of_pieces(with_learned(scaled.pieces, learned))
+        return replace(tube, **changed)
 
     def _pieces(self, tube: Tube, k: int, first: Setup) -> dict[str, Any]:
         """Changed fields of a tube made of pieces; empty for other tubes."""
@@ -167,76 +179,33 @@ class Setup:
         return {"pieces": pieces, "curvature": bend * max(piece.largest_curvature for piece in pieces)}
 
 
+def _of_pieces(pieces: Sequence[Piece]) -> dict[str, Any]:
+    """Fields of a tube that follow from its pieces."""
+    return {
+        "pieces": pieces,
+        "curvature": max(piece.largest_curvature for piece in pieces),
+        "curved_length": math.fsum(piece.length for piece in pieces),
+    }
+
+
 # Effects that a recording may have of its own: homing of the drives, clocks, and where plate and sensor are mounted.
 PER_RECORDING = ("latency", "translation", "rotation", "plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
 
 # What describes the tubes, how they rub, and how loose they are.
-TUBES = ("friction", "clearance", "piece_curvature", "dead_length", "fade", *DIMENSIONS)
+TUBES = ("friction", "clearance", "piece_curvature", "dead_length", "fade", "learned", *DIMENSIONS)
 
 # Where the plate and the tip's sensor stand off where they should be.
 MOUNTS = ("plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
 
 
-# Lengths of pieces closer than this, m, are one: far below any dead length, far above round-off.
-SAME_LENGTH = 1e-9
+def shapes_of(robot: Robot) -> list[TubeShape | None]:
+    """Shape of every kind of tube, None of others than those made of the pieces of a `TubeShape`.
 
-
-def heated_pieces(length: float, curvature: float, dead: float, fade: float) -> tuple[Piece, ...]:
-    """Pieces of a curved part with straight ends of length `dead` and linear ramps of length `fade` next to them, m.
-
-    Raises:
-        InputError: straight ends and ramps are longer than the curved part.
+    A change along a tube is a learned one if the posterior says so.
     """
-    if dead + fade > length / 2:
-        raise InputError(
-            f"dead length and fade are {1e3 * dead:g} and {1e3 * fade:g} mm; together they must be at most half the "
-            f"curved length of {1e3 * length:g} mm"
-        )
-    ramp, rest = (curvature / 2, curvature / 2), length - 2 * (dead + fade)
-    parts = [
-        (dead, 0.0),
-        (fade, Series((0.0, fade), (ramp,)) if fade else 0.0),
-        (rest, curvature),
-        (fade, Series((0.0, fade), ((ramp[0], -ramp[1]),)) if fade else 0.0),
-        (dead, 0.0),
-    ]
-    return tuple(Piece(part, (bend, 0.0, 0.0)) for part, bend in parts if part > 0)
-
-
-def heated_shape(tube: Tube) -> tuple[float, float] | None:
-    """Dead length and fade, m, of a tube made of the pieces of `heated_pieces`; None for other tubes."""
-    pieces = tube.pieces
-    if len(pieces) not in (3, 5):
-        return None
-    fade = next((piece.length for piece in pieces if isinstance(piece.precurvature[0], Series)), 0.0)
-    dead = 0.0 if len(pieces) == 3 and fade else pieces[0].length
-    try:
-        again = heated_pieces(tube.curved_length, bend_of(pieces), dead, fade)
-    except InputError:
-        return None
-    alike = len(again) == len(pieces) and all(
-        replace(a, length=b.length, precurvature=b.precurvature) == b
-        and np.allclose(_ends(a), _ends(b), rtol=1e-9, atol=SAME_LENGTH)
-        for a, b in zip(again, pieces, strict=True)
-    )
-    return (float(dead), float(fade)) if alike else None
-
-
-def _ends(piece: Piece) -> list[float]:
-    """Length of a piece and its precurvature at both ends and in the middle."""
-    return [piece.length, *(at(q, s) for q in piece.precurvature for s in (0.0, piece.length / 2, piece.length))]
-
-
-def bend_of(pieces: Sequence[Piece]) -> float:
-    """Precurvature of the middle piece about x, 1/m; NaN if it varies or has another direction."""
-    x, *others = pieces[len(pieces) // 2].precurvature
-    return float(x) if isinstance(x, float) and not any(others) else math.nan
-
-
-def heated_shapes(tubes: Sequence[Tube]) -> dict[str, Array]:
-    """Dead lengths and fades (m,) of tubes, 0 of tubes without."""
-    shapes = [(heated_shape(tube) if tube.pieces else None) or (0.0, 0.0) for tube in tubes]
-    return dict(zip(("dead_length", "fade"), np.array(shapes).T, strict=True))
+    named = () if robot.posterior is None else robot.posterior.names
+    learned = {name.split("_")[2] for name in named if name.startswith("learned_curvature_")}
+    return [shape_of(tube, learned=str(k) in learned) for k, tube in enumerate(members(robot), start=1)]
 
 
 def _between(robot: Robot) -> tuple[Array, Array]:
@@ -308,7 +277,8 @@ class Effect:
     """Object that numbers the parameters of the effect; "" for a single parameter.
 
     "tube", "kind" of tube (tubes of a concentric robot, segments of an eccentric one), "piece" of a tube of two or
-    more, "carriage", "spring" (a carriage of a concentric robot), "pair" of tubes with friction, "xyz" or "xy".
+    more, "mode" of a learned change along a tube, "carriage", "spring" (a carriage of a concentric robot), "pair" of
+    tubes with friction, "xyz" or "xy".
     """
     span: Range
     """Range of the parameter."""
@@ -328,6 +298,8 @@ class Effect:
     """Names of the quantities that the effect sets; effects with a common name exclude each other."""
     history: bool = False
     """True if the tip depends on the path to its configuration."""
+    random: bool = False
+    """True if its numbers are of one random function: they always have their prior, whose size is learned."""
     compared: str = "always"
     """Use in a model comparison: "always", "asked" (by name only, since it takes long) or "never"."""
     drives: bool = False
@@ -400,8 +372,7 @@ def _mounted(name: str, reach: float, scale: float, prior: float) -> Range:
 def _curvature_span(context: Context, index: int | None) -> Span:
     if index is None:
         return Span(1.0, 0.2, 5.0, 1.0, 0.1)
-    tube = members(context.robot)[index]
-    value, edge = tube.curvature, 1 / tube.outer_diameter
+    value, edge = float(context.setup.curvature[index]), 1 / members(context.robot)[index].outer_diameter
     return Span(value, -edge, edge, max(abs(value), 1.0), 0.1 * abs(value) + 0.5)
 
 
@@ -501,8 +472,28 @@ def _no_arc(context: Context, index: int | None) -> str:
     if not isinstance(context.robot, ConcentricRobot):
         return "it is of concentric robots only"
     tube = context.robot.tubes[index or 0]
-    other = bool(tube.pieces) and heated_shape(tube) is None
+    other = bool(tube.pieces) and shapes_of(context.robot)[index or 0] is None
     return f"tube {(index or 0) + 1} is a chain of pieces" if other else _no_curve(context, index)
+
+
+FIRST_DECAY = 0.6
+"""Deviation of a learned polynomial over that of one degree less, before the data tell it."""
+
+
+def _learned_span(context: Context, index: int | None) -> Span:
+    """Range of a number of a learned change, around that in the file."""
+    tube, mode = divmod(index or 0, MODES)
+    value, start = float(context.setup.curvature[tube]), float(context.setup.learned[index or 0])
+    edge = 1 / members(context.robot)[tube].outer_diameter
+    deviation = (0.1 * abs(value) + 0.5) * FIRST_DECAY ** (mode % DEGREES)
+    return Span(start, start - edge, start + edge, max(abs(value), 1.0), deviation)
+
+
+def _learns_nothing(context: Context, index: int | None) -> str:
+    if not isinstance(context.robot, ConcentricRobot):
+        return "it is of concentric robots only"
+    tube = (index or 0) // MODES
+    return "" if context.setup.curved_length[tube] > 0 else f"tube {tube + 1} has no curved part"
 
 
 def _clearance_span(context: Context, index: int | None) -> Span:
@@ -605,6 +596,12 @@ EFFECTS: dict[str, Effect] = {
         "length over which the precurvature of tube I rises and falls at the ends of its curved part", "m", "kind",
         _shape_span("fade", 0.1), _put("fade"), compared="asked", idle=_no_arc,
     ),
+    "learned_curvature": Effect(
+        f"number J of the learned change of the precurvature along tube I: polynomials of degree 1 to {DEGREES} about "
+        "x, then about y",
+        "1/m", "mode",
+        _learned_span, _put("learned"), compared="asked", idle=_learns_nothing, random=True,
+    ),
     "bending_stiffness": Effect(
         "factor on the bending stiffness EI of tube I, GJ kept", "", "kind",
         _within(1.0, 0.9, 1.0, 0.2), _put("bending_stiffness", np.multiply), sets=("bending_stiffness",),
@@ -637,10 +634,14 @@ EFFECTS: dict[str, Effect] = {
 }  # fmt: skip
 
 
+TWO_NUMBERS = ("piece", "mode")
+"""Objects with the number of their tube and one of their own."""
+
+
 def _patterns(kind: str, effect: Effect) -> list[str]:
     """Names of the parameters of a kind, without and with a placeholder for the number."""
     alone = [kind] if effect.common or not effect.each else []
-    return alone + ([kind + ("_I_J" if effect.each == "piece" else "_I")] if effect.each else [])
+    return alone + ([kind + ("_I_J" if effect.each in TWO_NUMBERS else "_I")] if effect.each else [])
 
 
 # Names of parameters, I and J being numbers from 1, or I one of x, y, z, and what they mean.

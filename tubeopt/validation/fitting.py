@@ -49,14 +49,16 @@ from .comparison import (
     registration_error,
     validate,
 )
-from .effects import PER_RECORDING
+from .effects import PER_RECORDING, Setup
 from .identifiability import doubts, entangled_history, least_certain, left_out, louder, undetermined
+from .learned import with_learned_priors
 from .measurements import Measurements, recordings_of
 from .model import ParameterState
 from .parameters import Parameter, choose_parameters
 from .posterior import posterior_of
 from .registration import FIRST_GUESS, FREEDOMS, SENSOR_FRAME, BasePose
 from .sessions import Registrations, Sessions
+from .tube_shapes import MODES
 
 # How a large error counts: by its square, or in the end by its size.
 LOSSES = ("linear", "huber", "soft_l1")
@@ -66,6 +68,10 @@ LOSSES = ("linear", "huber", "soft_l1")
 # each step there gains two digits or more.
 FITTING = LeastSquaresSolver()
 BY_CHORDS = LeastSquaresSolver(iterations=8, settled=NEARLY_SETTLED)
+
+# Learned changes leave long valleys, along which the tips hardly change: a step that gains less than a thousandth of
+# the cost is a small part of the standard errors. Before their priors are known a fit ends earlier.
+LEARNING, ROUGH = LeastSquaresSolver(settled=1e-3), LeastSquaresSolver(settled=1e-2)
 
 # Length of an error of three coordinates, in standard deviations of one, from which a robust loss grows like it and no
 # longer like its square. Of normal errors 3 % are longer.
@@ -142,6 +148,9 @@ def predicted_held_out(
 # 1250. Noise changes the weights of positions against directions, and those the fit a little: a few rounds suffice.
 SAME_NOISE, NOISE_ROUNDS = 0.02, 6
 
+# The same of the deviations of learned changes, which a dozen numbers tell.
+SAME_PRIOR = 0.1
+
 
 @typed
 @dataclass(frozen=True)
@@ -205,6 +214,11 @@ class Estimate:
     """Standard error that counts what the model lacks, see `validation.posterior`. The next two are its interval."""
     posterior_low: float
     posterior_high: float
+
+    @property
+    def learned(self) -> bool:
+        """True for a number of a learned change along a tube."""
+        return self.name.startswith("learned_")
 
 
 class FitStatus(StatusEnum):
@@ -271,6 +285,14 @@ class Fit(Displayed):
         return FitStatistics(self.evaluations, self.after.predicted.size)
 
     @property
+    def learned(self) -> tuple[float, ...] | None:
+        """Root mean square of the learned change of the precurvature along every tube, 1/m; None if none was fitted."""
+        if not any(e.learned for e in self.estimates):
+            return None
+        tubes = Setup.of(self.robot).learned.reshape(-1, MODES)
+        return tuple(np.sqrt((tubes**2).sum(1)).tolist())
+
+    @property
     def held_out(self) -> ErrorSummary | None:
         """Summary of the held-out errors."""
         return None if self.held_out_errors is None else ErrorSummary.of(self.held_out_errors)
@@ -333,7 +355,8 @@ def sessions(
     shared = "registration" not in options.per_recording
     freedoms = FREEDOMS[options.registration]
     for k, m in enumerate(recordings):
-        n_parameters = sum(p.recording in (None, k) for p in chosen)
+        # What has a prior needs no measured number.
+        n_parameters = sum(p.recording in (None, k) and not p.effect.random for p in chosen)
         check_counts(m, n_parameters + freedoms, options.folds)
     model = Sessions(robot, recordings, options.registration, options.base, shared=shared)
     return model.with_parameters(chosen)
@@ -353,7 +376,7 @@ def check_counts(measurements: Measurements, unknowns: int, folds: int) -> None:
 
 def weigh(model: Sessions, options: FitOptions, sigma: tuple[float, float]) -> Weights:
     """Weights of the observations at given noise of positions and directions."""
-    prior = np.array([p.prior if options.priors else np.inf for p in model.parameters])
+    prior = np.array([p.prior if options.priors or p.effect.random else np.inf for p in model.parameters])
     spread = np.where(model.directed, sigma[1], sigma[0])
     return Weights(spread, np.ones(len(model.row)), prior.reshape(-1), options.loss, ROBUST_FROM)
 
@@ -386,7 +409,7 @@ class FitProblem:
     def _undetermined(self, model: Sessions, slopes: Array) -> tuple[list[int], list[str]]:
         idle = [k for k, p in enumerate(self.chosen) if p.idle]
         messages = [left_out(self.chosen[k]) for k in idle]
-        active = [k for k, p in enumerate(self.chosen) if not p.idle]
+        active = [k for k, p in enumerate(self.chosen) if not p.idle and not p.effect.random]
         if not active or self.options.priors:
             return idle, messages
         unit = np.where(model.directed, model.length, 1.0)
@@ -402,17 +425,24 @@ class FitProblem:
     def _settle(
         self, start: ParameterState[Registrations], slopes: Array
     ) -> RobustDescent[ParameterState[Registrations]]:
-        """Minimum from a start, with the noise estimated again until both no longer change.
+        """Minimum from a start, with noise and learned priors estimated again until nothing changes any more.
 
-        With least squares of positions alone the noise has no effect.
+        With least squares of positions alone, without priors, the noise has no effect.
         """
-        descent = descend(self.model, self.weights(), start, first=slopes, solver=FITTING)
+        random = any(p.effect.random for p in self.model.parameters)
+        priors = self.options.priors or random
+        solver = LEARNING if random else FITTING
+        descent = descend(self.model, self.weights(), start, first=slopes, solver=ROUGH if random else solver)
         for _ in range(NOISE_ROUNDS):
             last, self.sigma = self.sigma, self._noise(descent)
-            alike = not self.model.directed.any() and self.options.loss == "linear" and not self.options.priors
-            if alike or np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0):
+            alike = np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0)
+            if random:
+                before = self.weights().prior
+                self.model = self.model.with_parameters(with_learned_priors(self.model, self.weights(), descent))
+                alike = alike and np.allclose(self.weights().prior, before, rtol=SAME_PRIOR)
+            if alike or not (self.model.directed.any() or self.options.loss != "linear" or priors):
                 break
-            descent = descend(self.model, self.weights(), descent.state, first=descent.jacobian, solver=FITTING)
+            descent = descend(self.model, self.weights(), descent.state, first=descent.jacobian, solver=solver)
         return self._registered(descent)
 
     def _registered(
@@ -438,7 +468,7 @@ class FitProblem:
         """
         size = np.linalg.norm(descent.residuals, axis=1)
         a = self.model.directed
-        unknowns = len(self.free) + self.model.freedoms
+        unknowns = len(self.free) + self.model.freedoms - self._from_priors(descent)
         total = 3 * (~a).sum() + 2 * a.sum()
         # Each unknown takes one number to fit, which leaves so much less in the residuals.
         freedom_ratio = max(total - unknowns, 1) / total
@@ -453,6 +483,15 @@ class FitProblem:
                 # gamma function.
                 out.append(float(np.median(sizes) / np.sqrt(2 * scipy.special.gammaincinv(coordinates / 2, 0.5))))
         return max(out[0], 1e-12), max(out[1], 1e-12)
+
+    def _from_priors(self, descent: RobustDescent[ParameterState[Registrations]]) -> float:
+        """Number of unknowns that the priors fit, not the observations."""
+        weights = self.weights()
+        inverse = weights.prior**-2.0
+        if not inverse.any():
+            return 0.0
+        square, _ = normal_equations(self.model, weights, descent.state, descent.residuals, descent.jacobian)
+        return float(inverse @ np.diag(inverse_of(square))[: len(inverse)])
 
     @property
     def values(self) -> Array:
@@ -543,7 +582,8 @@ class FitProblem:
         return errors, correlation
 
     def _doubts(self, half: Array, correlation: Array) -> list[str]:
-        messages = doubts(self.chosen, self.free, self.values, half, correlation)
+        plain = [k for k in self.free if not self.chosen[k].effect.random]
+        messages = doubts(self.chosen, plain, self.values, half, correlation)
         messages += least_certain(self.chosen, self.free, half, correlation)
         messages += entangled_history(self.model, self.fit)
         messages += louder(self._left(self.fit), self.options.noise)

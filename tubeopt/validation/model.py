@@ -610,8 +610,9 @@ class ArmModel:
         return np.array([[p.low, p.high] for p in self.parameters]).reshape(-1, 2).T
 
     def costly(self, state: ParameterState[Registration]) -> bool:
-        """True if derivatives need a pass along all rows for every parameter."""
-        return bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs)
+        """True if derivatives need a pass along all rows for every parameter, or for many."""
+        many = any(p.effect.random for p in self.parameters)
+        return many or (bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs))
 
     def _joint_slopes(self, setup: Setup, motion: Registration, predicted: Array) -> Array:
         """(V, 3, 2 n) derivatives of the observations by the joint values of their row.

@@ -11,9 +11,10 @@ from ..errors import InputError, nearest
 from ..robots.concentric import ConcentricRobot
 from ..robots.robot import Robot
 from ..typing import Array
-from .effects import EFFECTS, KINDS, PER_RECORDING, Context, Effect, Setup, Span, members
+from .effects import EFFECTS, KINDS, PER_RECORDING, TWO_NUMBERS, Context, Effect, Setup, Span, members
 from .measurements import Measurements, recordings_of
 from .registration import FITS_PLATE
+from .tube_shapes import MODES
 
 AXES = "xyz"
 
@@ -104,6 +105,8 @@ def numbers_of(context: Context, effect: Effect) -> list[str]:
         return list(effect.each)
     if effect.each == "piece":
         return [f"{tube + 1}_{piece + 1}" for tube, piece in context.setup.pieces]
+    if effect.each == "mode":
+        return [f"{k // MODES + 1}_{k % MODES + 1}" for k in range(_count(context, effect))]
     return [str(i + 1) for i in range(effect.first - 1, _count(context, effect))]
 
 
@@ -114,6 +117,7 @@ def _count(context: Context, effect: Effect) -> int:
         "tube": robot.n_tubes,
         "kind": len(members(robot)),
         "piece": len(context.setup.pieces),
+        "mode": len(context.setup.learned),
         "carriage": len(robot.moving_together),
         "spring": len(robot.moving_together) if isinstance(robot, ConcentricRobot) else 0,
     }
@@ -151,7 +155,7 @@ def _known(kind: str, number: str | None) -> bool:
     each = EFFECTS[kind].each
     if number is None:
         return kind in KINDS
-    return bool(each) and (number in AXES) == each.startswith("x") and ("_" in number) == (each == "piece")
+    return bool(each) and (number in AXES) == each.startswith("x") and ("_" in number) == (each in TWO_NUMBERS)
 
 
 def _places(context: Context, effect: Effect, index: int | None) -> tuple[int, ...]:
@@ -166,6 +170,11 @@ def _check_number(context: Context, effect: Effect, name: str, number: str | Non
     count, known = _count(context, effect), numbers_of(context, effect)
     if number is None or number in known:
         return
+    if effect.each == "mode":
+        raise InputError(
+            f"parameter {name!r}: there is no such number of a tube; the tube must be 1 to {count // MODES}, the "
+            f"number 1 to {MODES}"
+        )
     if effect.each == "piece":
         choices = f"choose from {', '.join(known)}" if known else "the robot has no tube of two or more pieces"
         raise InputError(f"parameter {name!r}: there is no such piece of a tube; {choices}")
