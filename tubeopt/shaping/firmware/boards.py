@@ -94,6 +94,8 @@ class Board:
     """
     prefix: str = "pin "
     """Name of its pins before their number."""
+    feed: str = "5V"
+    """Name of its pin that takes 5 V."""
     core: str = ""
     """Arduino core of the board that has to be installed; "" for that of the Arduino IDE."""
 
@@ -122,12 +124,13 @@ BOARDS = {
     "esp32": Board(
         "esp32", "ESP32", (31.0, 122.0, 490.0), 4096, 3.3,
         {"gate": "25", "tick": "26", "stop": "27", "select": "5", "voltage": "34", "current": "35",
-         "temperature": "32", "clock": "18", "data": "19"}, "IO", "core esp32 of Espressif, version 3",
+         "temperature": "32", "clock": "18", "data": "19"}, "IO", core="core esp32 of Espressif, version 3",
     ),
     "pico": Board(
         "pico", "Raspberry Pi Pico", (122.0, 490.0), 1024, 3.3,
         {"gate": "15", "tick": "13", "stop": "14", "select": "17", "voltage": "26", "current": "27",
-         "temperature": "28", "clock": "18", "data": "16"}, "GP", "core Raspberry Pi Pico/RP2040 of E. Philhower",
+         "temperature": "28", "clock": "18", "data": "16"}, "GP", "VSYS",
+        "core Raspberry Pi Pico/RP2040 of E. Philhower",
     ),
 }  # fmt: skip
 """Boards by name. The Pico's core has no PWM below 100 Hz."""
@@ -347,7 +350,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     hall += "the supply, ground at the board"
     # A sensor of 5 V gives up to 5 V in a short.
     hall += f"; 1 kohm to the pin, {reference:g} V Zener diode there" if low_volt else ""
-    logic = "5 V regulator for the board, its 3.3 V for the logic" if low_volt else "5 V regulator for board and logic"
+    logic = f"5 V regulator for the board (pin {board.feed})"
+    logic += ", its 3.3 V for the logic" if low_volt else " and the logic"
     driving = "battery" if charged <= MOST_COIL else "12 V regulator"
     clamp = math.ceil((plan.clamp_temperature.max() + CLAMP_RESERVE) / 10) * 10
     avalanche = 0.5 * LOOP_INDUCTANCE * peak**2
@@ -409,6 +413,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("divider", f"{upper} kohm, at the wire behind the cut-out, {LOWER / 1e3:g} kohm and 1 nF to ground",
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, f"at the middle of the curved part, which is at {rest:.1f} V between pulses"),
-        Part("isolation", "USB isolator between computer and board", "the battery's minus is the board's ground"),
+        Part("isolation", "USB isolator between computer and board, a Schottky diode in its 5 V line towards the board",
+             "the battery's minus is the board's ground; two supplies of 5 V meet at the board"),
         Part("board", ", ".join(filter(None, (board.title, board.core))), "runs the sketch"),
     )  # fmt: skip

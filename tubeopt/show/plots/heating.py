@@ -385,7 +385,8 @@ def plot_wiring(answer: ClosedLoopHeating) -> Figure:
         rows = [textwrap.fill(line, 66, subsequent_indent="    ") for line in lines]
         text.text(0, 0.98, "\n".join(rows), fontsize=7, va="top", color=INK, linespacing=1.4)
         text.text(0, 0.0, WIRING_NOTES, fontsize=7, va="bottom", color=INK, linespacing=1.4)
-    return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring")
+    outer, inner = (size * TO_MM for size in (answer.plan.tube.outer_diameter, answer.plan.tube.inner_diameter))
+    return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring for a tube of {outer:g} / {inner:g} mm")
 
 
 def _draw_boxes(axes: Axes, boxes: Mapping[str, Box], size: float = 8.0) -> None:

@@ -897,7 +897,7 @@ def safety(plan: HeatingPlan) -> list[str]:
         "Main switch off before a hand touches clamps or mold. Quench with tongs in hand; water spits.",
         "No sensor leads this heating: without a thermometer a miss stays unseen."
         if plan.feedback is None
-        else f"The board stops by itself at {plan.feedback.law.ceiling:.0f} °C.",
+        else f"The board stops by itself at a reading of {plan.feedback.law.ceiling:.0f} °C.",
         "Above the limit, or where the tube does not follow the time line: stop.",
         "After a stop or a miss: main switch off, let the tube cool in the mold; do not use it. Find the cause first, "
         "or calibrate by the log (`tubeopt heat calibrate`); then heat a new tube.",
