@@ -52,6 +52,7 @@ def test_the_schedule_holds_the_window_on_the_mold_as_drawn() -> None:
     rig = thesis_rig()
     made = plan_tube(TUBE, rig, MoldSpec(springback=Springback(0.08, shrinkage=0.005)), SHORT)
     assert made.agreed
+    assert made.marked_mold == made.mold
     assert made.heating.feasible
     tube, drawn = drawn_again(made, rig)
     between = 2 * (drawn.clamps.clearance + drawn.mold.lead) + tube.curved_length
@@ -131,6 +132,7 @@ def test_a_plate_too_small_for_the_leads_is_told(monkeypatch: pytest.MonkeyPatch
     assert not made.agreed
     assert "mm from clamp to bend, the mold has" in made.disagreement
     assert "does not fit on the plate" in made.disagreement
+    assert made.marked_mold.remarks[0] == f"do not mill this mold: {made.disagreement}"
     assert "gap_um of the rig file is 50 um" in made.remarks[0]
     assert "50 um on each side of this tube has a uniform gap of 8" in made.remarks[0]
 

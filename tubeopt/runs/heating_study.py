@@ -544,7 +544,7 @@ class FabricationStudy(Timed):
                 progress(k, len(chosen))
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
             fabrication = plan_tube(self.robot.tubes[number - 1], rig, mold_spec, spec, number=number)
-            mold = RobotMold(fabrication.mold, self.robot.name, ())
+            mold = RobotMold(fabrication.marked_mold, self.robot.name, ())
             heating = evaluate_heating(fabrication.heating, charges, samples=self.samples, sensor=sensor)
             parts.append(TubeParts(number, fabrication, mold, heating))
         if self.sensor in READS:

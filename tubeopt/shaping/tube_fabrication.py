@@ -88,6 +88,12 @@ class TubeFabrication:
         return self.mold.grooves[0]
 
     @property
+    def marked_mold(self) -> Mold:
+        """The mold, with a remark for its set-up sheet if it does not fit the heating."""
+        unfit = () if self.agreed else (f"do not mill this mold: {self.disagreement}",)
+        return replace(self.mold, remarks=(*unfit, *self.mold.remarks))
+
+    @property
     def agreed(self) -> bool:
         """True if mold and heating are for the same rig, and the mold fits the heating."""
         return not self.disagreement
