@@ -313,8 +313,11 @@ def measure(name: str, asked: argparse.Namespace, known: Sequence[dict[str, Any]
     longest, counted = joint_space(robot).longest, 0
     for k in itertools.count(asked.first):
         same = [row for row in known if (row["robot"], row["case"]) == (name, k)]
-        row = next((row for row in same if row["of"] == asked.kind), None)
-        if row is None:
+        row = next((row for row in reversed(same) if row["of"] == asked.kind), {})
+        others = [row["closest"] for row in same if "closest" in row]
+        compares = counted < asked.compare and "closest" not in row and (not row or counts(row, asked))
+        certifies = counted < asked.certify and not row
+        if not row or compares:
             random = np.random.default_rng([asked.seed, *name.encode(), k])
             start = posed(robot, random, asked.floor)
             if asked.reach:
@@ -322,22 +325,23 @@ def measure(name: str, asked: argparse.Namespace, known: Sequence[dict[str, Any]
             else:
                 target = random.normal(size=3)
                 target *= longest * random.uniform() ** (1 / 3) / np.linalg.norm(target)
-            servo = made(robot, (start.rotations, start.translations), asked)
-            result = lead(servo, target, asked.dt, asked.kind == "server", asked.seek)
-            row = vars(result) | {"robot": name, "case": k, "of": asked.kind}
-            row["joints"] = [each.tolist() for each in result.joints]
-            del row["path"], row["tip"]
-            row["snaps"] = snaps(robot, start, result)
-            if counts(row, asked) and counted < asked.certify:
+            if not row:
+                servo = made(robot, (start.rotations, start.translations), asked)
+                result = lead(servo, target, asked.dt, asked.kind == "server", asked.seek)
+                row = vars(result) | {"robot": name, "case": k, "of": asked.kind}
+                row["joints"] = [each.tolist() for each in result.joints]
+                row["tip"] = result.tip.tolist()
+                row["snaps"] = snaps(robot, start, result)
+                del row["path"]
+            if certifies and counts(row, asked):
                 rest = tubeopt.follow(robot, *np.split(result.path, 2, axis=1), start=start).equilibria[-1]
                 row["kind"], row["gain"] = local(robot, rest, target, asked.floor)
                 if np.linalg.norm(rest.tip_position - result.tip) > ARRIVED:
                     row["kind"] = "another branch"
-            if counts(row, asked) and counted < asked.compare:
-                others = [row["closest"] for row in same if "closest" in row]
+            if compares and counts(row, asked):
                 row["closest"] = others[0] if others else closest(robot, target, asked.floor)
-                if row["closest"] < result.distance - CLOSER:
-                    rest = tubeopt.follow(robot, *([each] for each in result.joints), start=start).equilibria[-1]
+                if row["closest"] < row["distance"] - CLOSER:
+                    rest = tubeopt.follow(robot, *([each] for each in row["joints"]), start=start).equilibria[-1]
                     row["closest from rest"] = lowest(robot, rest, target, asked.floor)
                     row["way"] = asked.seek and reachable(robot, start, target, asked.floor)
             if asked.jsonl:

@@ -494,6 +494,8 @@ def test_contacts_are_none_to_32(thesis: CRobot, count: int, status: int) -> Non
     thesis.servo(command(first.tip_position), far)
     function, memory, row, _, *others = thesis._calls["servo_among"]
     assert function(memory, row, ctypes.c_int(count), *others) == status
+    thesis._in[18] = 8.0  # steps of a search, which knows no contacts of other poses
+    assert function(memory, row, ctypes.c_int(count), *others) == 2
 
 
 def test_bad_input_is_refused(thesis: CRobot) -> None:

@@ -210,7 +210,8 @@ typedef struct {
 
 /* As tubeopt_servo, for an arm without load. The points of `count` contacts stay on their side of the planes normal to
    their vectors, `clearance` (m) from the bodies, or come no closer. Before every step the caller finds the closest
-   points (tubeopt_shape returns the centreline). If the arm comes too close elsewhere, undo the step by tubeopt_undo. */
+   points (tubeopt_shape returns the centreline). If the arm comes too close elsewhere, undo the step by tubeopt_undo.
+   A command with `closest` is TUBEOPT_BAD_INPUT: the search would need contacts at poses where the arm is not. */
 tubeopt_status tubeopt_servo_among(tubeopt_memory *memory, const tubeopt_command *command, int count,
                                    const tubeopt_contact *contacts, double clearance, tubeopt_pose *pose,
                                    tubeopt_report *report);

@@ -547,7 +547,7 @@ tubeopt_status tubeopt_servo_among(tubeopt_memory *m, const tubeopt_command *c, 
     tubeopt_contact own[TUBEOPT_MOST_CONTACTS];
     Bodies bodies = {count, clearance, own};
     if (!m->started) return TUBEOPT_NOT_STARTED;
-    if (count < 0 || count > TUBEOPT_MOST_CONTACTS || bears(m)) return TUBEOPT_BAD_INPUT;
+    if (count < 0 || count > TUBEOPT_MOST_CONTACTS || bears(m) || c->closest > 0) return TUBEOPT_BAD_INPUT;
     tubeopt_status not_taken = bounded(&clearance, 1, TUBEOPT_MOST_NUMBER);
     memcpy(own, contacts, count * sizeof *own);
     for (int k = 0; k < count && !not_taken; k++) {
