@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import tubeopt
 from tubeopt.block.transcription.orientation import position_slopes, tangents
 from tubeopt.bodies import Capsule, HalfSpace, Sphere
 from tubeopt.bodies.obstacles import scene_of
 from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.equilibrium.jacobian import derivatives_of, shifted
 from tubeopt.equilibrium.member import Loaded
 from tubeopt.equilibrium.problem import Discretisation
 from tubeopt.equilibrium.wall_contact import wall_curvature
@@ -257,10 +259,46 @@ def test_what_walls_cannot_do_is_refused(pressed, changes, message):
         tubeopt.forward_kinematics(robot, rotations, **({"walls": ball(centre)} | changes))
 
 
-def test_eccentric_robots_and_derivatives_are_refused(pressed):
-    robot, rotations, centre = pressed
+@pytest.mark.parametrize("fraction", [0.6, 1.0])
+def test_derivatives_keep_contacts_closed(fraction):
+    """Along the arm, where the contact slides, and at the tip, where it moves with the end of the tube."""
+    robot, rotations, shift = tubeopt.load_robot("thesis_ctr"), np.array([0.0, 1.0, 2.0]), [-0.02, -0.01, -0.005]
+    free = tubeopt.forward_kinematics(robot, rotations, shift)
+    i = int(fraction * (len(free.position) - 1))
+    walls = [Sphere(tuple(free.position[i] + free.frame[i] @ [7.5e-3, 0, 2e-3]), 8e-3)]
+    pose = tubeopt.forward_kinematics(robot, rotations, shift, walls=walls)
+    (contact,) = pose.walls.contacts
+    assert (contact.arc_length == pytest.approx(free.arc_length[-1])) == (fraction == 1)
+    jacobian, derivatives = pose.jacobian(wrt=["rotations", "translations", "curvature"]), derivatives_of(pose)
+    k = int(np.argmin(np.abs(derivatives.shape.arc_length - 0.05)))
+    s = derivatives.shape.arc_length[k]
+    for name, column, step in [("rotations", 0, 1e-4), ("translations", 3, 2e-5), ("translations", 5, 2e-5)]:
+        far = [posed(pose, name, column % 3, way * step) for way in (1, -1)]
+
+        def slope(quantity, far=far, step=step):
+            return (quantity(far[0]) - quantity(far[1])) / (2 * step)
+
+        assert np.allclose(slope(lambda e: e.tip_position), jacobian.position[:, column], atol=1e-6)
+        turn = Rotation.from_matrix(far[0].frame[-1] @ far[1].frame[-1].T).as_rotvec() / (2 * step)
+        assert np.allclose(turn, jacobian.rotation[:, column], atol=1e-5)
+        assert slope(lambda e: e.energy) == pytest.approx(jacobian.energy[column], abs=1e-7)
+        assert np.allclose(slope(lambda e: e.rotation[:, -1]), jacobian.tip_rotations[:, column], atol=1e-5)
+        along = slope(lambda e: ArmSurface(e).centreline(np.array([s]))[0])
+        assert np.allclose(along, derivatives.position[k, :, column], atol=1e-6)
+        assert slope(lambda e: derivatives_of(e).total_bend) == pytest.approx(derivatives.bend[column], rel=1e-3)
+    far = [posed(pose, "curvature", 1, way * 1e-3) for way in (1, -1)]
+    assert np.allclose((far[0].tip_position - far[1].tip_position) / 2e-3, jacobian.position[:, 7], atol=1e-7)
+    margins = [posed(pose, "rotations", 0, way * 3e-3).margin for way in (1, -1)]
+    assert (margins[0] - margins[1]) / 6e-3 == pytest.approx(pose.jacobian(wrt=["rotations"]).margin[0], rel=1e-2)
+
+
+def posed(pose, name, tube, step):
+    """Pose among the same walls with a joint value or a dimension of a tube a step further."""
+    at = shifted(pose, name, tube, step)
+    return tubeopt.forward_kinematics(at.robot, at.rotations, at.translations, walls=pose.walls.bodies)
+
+
+def test_eccentric_robots_are_refused(pressed):
+    _, rotations, centre = pressed
     with pytest.raises(InputError, match="concentric robots only"):
         tubeopt.forward_kinematics(tubeopt.load_robot("thesis_etr"), rotations, walls=ball(centre))
-    pose = tubeopt.forward_kinematics(robot, rotations, walls=ball(centre))
-    with pytest.raises(InputError, match="touches walls"):
-        pose.jacobian()

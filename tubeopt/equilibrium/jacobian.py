@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
@@ -37,10 +37,11 @@ from .directions import PARAMETERS
 from .kinematics import point_of
 from .linearised import linearise, sharing
 from .linearised_bundle import linearise_bundle
+from .linearised_walls import linearise_among_walls
 from .member import Loaded, LoadedPoint, discretisation_of
 from .problem import DEFAULT_DISCRETISATION, loading_of
 from .result import Derivatives, Equilibrium, Jacobian
-from .wall_contact import compliance_among_walls
+from .wall_contact import at_walls, compliance_among_walls, solution_of
 
 JOINTS = ("rotations", "translations")
 """Default parameters of a Jacobian."""
@@ -59,6 +60,8 @@ def derivatives_of(
     """Derivatives of an equilibrium, computed when they are read; by default with the `carriages` of the robot."""
     carriages = equilibrium.robot.moving_together if carriages is None else carriages
     along = sharing(carriages, tuple(wrt))
+    if equilibrium.walls is not None and equilibrium.walls.contacts:
+        return linearise_among_walls(equilibrium, wrt, side, along=along)
     if equilibrium.robot.fixed_sections:
         return linearise(equilibrium, wrt, side, along=along)
     return linearise_bundle(equilibrium, wrt, side, along=along)
@@ -171,6 +174,8 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
     Where breakpoints coincide (at home, for instance, every transition lies at the plate) a translation or a length
     changes the order of the sections, and the derivatives differ to either side.
 
+    Contacts with walls stay closed; the derivative of the margin then takes two equilibria per column.
+
     Args:
         wrt: any of "rotations", "translations", "curvature", "straight_length", "curved_length", "bending_stiffness",
             "torsional_stiffness"; n columns each. Of a bundle also "offset" and "angle", and "sheath_stiffness",
@@ -188,14 +193,18 @@ def jacobian(equilibrium: Equilibrium, *, wrt: Sequence[str] = JOINTS, side: int
     if by_kernel is not None:
         return by_kernel
     load, derivatives = equilibrium.load, partial(_kept, equilibrium, tuple(wrt), side)
-    if load is None or load.has_energy or not equilibrium.robot.fixed_sections:
+    touches = equilibrium.walls is not None and equilibrium.walls.contacts
+    if not touches and (load is None or load.has_energy or not equilibrium.robot.fixed_sections):
         return Jacobian.of(derivatives)
-    return Jacobian.of(derivatives, margin=partial(_margin_by_differences, equilibrium, tuple(wrt)))
+    slopes = margin_slopes_among_walls if touches else margin_slopes
+    return Jacobian.of(derivatives, margin=partial(_margin_by_differences, slopes, equilibrium, tuple(wrt)))
 
 
-def _margin_by_differences(equilibrium: Equilibrium, wrt: tuple[str, ...]) -> Array:
-    """`margin_slopes` by joint values and dimensions; tubes of a carriage share the derivative equally."""
-    shared, result = sharing(equilibrium.robot.moving_together, wrt), margin_slopes(equilibrium, wrt)
+def _margin_by_differences(
+    slopes: Callable[[Equilibrium, Sequence[str]], Array], equilibrium: Equilibrium, wrt: tuple[str, ...]
+) -> Array:
+    """Slopes of the margin by joint values and dimensions; tubes of a carriage share the derivative equally."""
+    shared, result = sharing(equilibrium.robot.moving_together, wrt), slopes(equilibrium, wrt)
     return result if shared is None else np.asarray(result @ shared)
 
 
@@ -231,6 +240,10 @@ def position_slopes(equilibrium: Equilibrium, carriages: Carriages | None = None
 
 STEP = 1e-5
 """Step of the differences: rad, or a fraction of the arm's length, of its inverse, or of a stiffness."""
+
+
+WALL_STEP = 1e-3
+"""Step of the differences of margins among walls: errors of the mesh give about 1e-3, those of the step less."""
 
 
 class Posed(NamedTuple):
@@ -311,9 +324,9 @@ def shifted(e: Equilibrium, name: str, tube: int, step: float) -> Posed:
     return Posed(robot, joints["rotations"], tuple(joints["translations"].tolist()))
 
 
-def change_by(e: Equilibrium, name: str, tube: int) -> Change:
-    """Change by a parameter of a tube."""
-    step = STEP * unit_of(e, name, tube)
+def change_by(e: Equilibrium, name: str, tube: int, size: float = STEP) -> Change:
+    """Change by a parameter of a tube; `size` is that of the step relative to `unit_of`."""
+    step = size * unit_of(e, name, tube)
     try:
         return Change(step, [shifted(e, name, tube, sign * step) for sign in (1, -1)])
     except InputError:
@@ -373,6 +386,19 @@ def margin_slopes(
             continue
         rate = -scipy.linalg.lu_solve(factors, difference.gradient(x))
         slopes.append(difference.stiffness(x, rate, (left, right), sure=sure))
+    return np.array(slopes)
+
+
+def margin_slopes_among_walls(e: Equilibrium, wrt: Sequence[str]) -> Array:
+    """(Q,) derivatives of the margin of an arm that touches walls, by differences of equilibria; NaN without one.
+
+    Where a contact moves past the end of an element, the margin jumps by the error of the mesh, about 1e-6.
+    """
+    solved, slopes = solution_of(e), list[float]()
+    for change in (change_by(e, name, tube, WALL_STEP) for name in wrt for tube in range(len(e.rotations))):
+        near = [solved.at_joints(at, np.array(shift), robot) for robot, at, shift in change.sides]
+        margins = [np.nan if each is None else at_walls(each).margin for each in near]
+        slopes.append((margins[0] - margins[1]) / (2 * change.step) if len(margins) == 2 else np.nan)
     return np.array(slopes)
 
 

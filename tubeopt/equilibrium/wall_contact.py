@@ -46,7 +46,7 @@ from ..solvers.time_limit import check_time
 from ..typing import Array
 from .arm_surface import ArmSurface, outer_radius
 from .kinematics import TOLERANCE, equilibrium_of, error_of, forward_kinematics
-from .member import Loaded, Point, at_points, sample_rotation
+from .member import Loaded, Point, at_points, discretisation_of, sample_rotation
 from .problem import LOADED_DISCRETISATION, LOADED_REFINEMENTS, Discretisation, check_load
 from .result import Equilibrium, Status, WallForce, WallState
 
@@ -174,6 +174,10 @@ class Gap:
     """Gradient n (3,) of the distance."""
     place: Array
     """Derivative P (3, X) of the point of the arm."""
+    tangent: Array
+    """Tangent t (3,) of the arm."""
+    turn: Array
+    """Derivative T (3, X) of the tangent."""
     slope: float
     """Derivative of g along the arm."""
     bend: float
@@ -240,7 +244,7 @@ class Touching:
         k = min(int(np.searchsorted(ends, s - HERE)), len(ends) - 1)
         return Stretch(float(ends[k - 1]) if k else 0.0, float(ends[k]), float(radius[k]))
 
-    def _weights(self, s: float) -> Array:
+    def weights(self, s: float) -> Array:
         """Weights (3, N) of the tangents at the points: for the position at s, and its first and second derivative."""
         mesh, t = self.member.problem.mesh, self.member.problem.mesh.tableau
         (element,), x = mesh.locate(np.array([s]))
@@ -257,7 +261,7 @@ class Touching:
         ahead = problem.ahead.copy()
         for touch in touches:
             # The work of a force at s is F.p(s) = F.sum w_a t_a.
-            weight = self._weights(touch.arc_length)[0] / problem.torsion.weight
+            weight = self.weights(touch.arc_length)[0] / problem.torsion.weight
             ahead[:, FORCE] += np.outer(weight, np.multiply(touch.force, touch.normal))
         return replace(problem, ahead=ahead)
 
@@ -276,7 +280,7 @@ class Touching:
     def gap(self, state: LoadedState, touch: Touch) -> Gap:
         """Gap at a possible contact."""
         body, stretch = self.walls.bodies[touch.body], self.stretch(touch.arc_length)
-        weights = self._weights(touch.arc_length)
+        weights = self.weights(touch.arc_length)
         point, along, bent = weights @ tangents(state.orientation.stage)
         place, turn = position_slopes(state.orientation, weights[:2]) @ state.curvature_slope
         normal, wall = np.asarray(body.gradient(point)), wall_curvature(body, point)
@@ -289,6 +293,8 @@ class Touching:
             value=float(body.signed_distance(point)) - stretch.radius,
             normal=normal,
             place=place,
+            tangent=along,
+            turn=turn,
             slope=slope,
             bend=bend,
             mixed=normal @ turn + along @ wall @ place,
@@ -374,14 +380,16 @@ class Touching:
                 hessian -= touch.force * gap.second
                 rows.append(gap.by_x)
         if not rows:
-            return SecondVariation(hessian, np.eye(len(hessian)))
+            return SecondVariation(hessian, hessian, np.eye(len(hessian)))
         motions = scipy.linalg.null_space(np.array(rows))
-        return SecondVariation(motions.T @ hessian @ motions, motions)
+        return SecondVariation(hessian, motions.T @ hessian @ motions, motions)
 
 
 class SecondVariation(NamedTuple):
     """Second variation on M motions."""
 
+    hessian: Array
+    """Second variation (X, X) on all motions."""
     form: Array
     """Matrix (M, M)."""
     motions: Array
@@ -453,13 +461,17 @@ class Solved(NamedTuple):
             return self.x
         return touching.member.transfer(self.point())
 
-    def at_joints(self, rotations: Array, translations: Array) -> Solved | None:
-        """Equilibrium at joint values (n,) close to those of this one, with all walls in place, or None."""
-        shift = tuple(translations.tolist())
-        if shift == self.touching.member.translations:
+    def at_joints(self, rotations: Array, translations: Array, robot: Robot | None = None) -> Solved | None:
+        """Equilibrium at joint values (n,) close to those of this one, with all walls in place, or None.
+
+        Args:
+            robot: almost the same robot, or None for the same.
+        """
+        walls, shift = self.touching.walls, tuple(translations.tolist())
+        if robot is None and shift == self.touching.member.translations:
             touching = replace(self.touching, member=replace(self.touching.member, rotations=rotations))
             return Solved(touching, self.x, self.touches, 0).complete(0.0)
-        touching = self.touching.walls.equations(rotations, shift, self.pressed)
+        touching = replace(walls, robot=robot or walls.robot).equations(rotations, shift, self.pressed)
         return Solved(touching, self.on(touching), self.pressed, 0).complete(0.0)
 
     def distance(self, other: Solved) -> float:
@@ -635,11 +647,11 @@ def among_walls(
     return pose
 
 
-def start_of(equilibrium: Equilibrium, walls: Walls) -> Solved:
+def start_of(equilibrium: Equilibrium, walls: Walls, mesh: Discretisation = LOADED_DISCRETISATION) -> Solved:
     """Equations among walls with the unknowns of an equilibrium, which is no solution if a wall is in its arm."""
     check_load(walls.robot, walls.load or Load(), tuple(equilibrium.translations.tolist()))
     known = [] if equilibrium.walls is None else [touch_of(contact) for contact in equilibrium.walls.contacts]
-    touching = walls.equations(equilibrium.rotations, tuple(equilibrium.translations.tolist()), known)
+    touching = walls.equations(equilibrium.rotations, tuple(equilibrium.translations.tolist()), known, mesh)
     theta, curvature = at_points(equilibrium, touching.member.problem)
     return Solved(touching, touching.member.unknowns(theta, curvature), tuple(known), 0)
 
@@ -742,8 +754,8 @@ def _described(equilibrium: Equilibrium, solved: Solved) -> Equilibrium:
     )
 
 
-def compliance_among_walls(equilibrium: Equilibrium) -> Array:
-    """Compliance (6, 6) of the tip of an arm that touches walls, which stay closed; `Equilibrium.compliance`.
+def solution_of(equilibrium: Equilibrium) -> Solved:
+    """Solution of an equilibrium that touches walls.
 
     Raises:
         InputError: an equilibrium from a file, which has no walls.
@@ -752,7 +764,16 @@ def compliance_among_walls(equilibrium: Equilibrium) -> Array:
     if not equilibrium.walls.bodies:
         raise InputError("the equilibrium touches walls, and its file does not hold them; solve it again among walls")
     walls = Walls(equilibrium.robot, equilibrium.walls.bodies, equilibrium.walls.load)
-    solved = start_of(equilibrium, walls)
+    return start_of(equilibrium, walls, discretisation_of(equilibrium))
+
+
+def compliance_among_walls(equilibrium: Equilibrium) -> Array:
+    """Compliance (6, 6) of the tip of an arm that touches walls, which stay closed; `Equilibrium.compliance`.
+
+    Raises:
+        InputError: an equilibrium from a file, which has no walls.
+    """
+    solved = solution_of(equilibrium)
     touching, state = solved.touching, solved.state
     torsion = touching.member.torsion
     second = touching.second_variation(state, solved.touches)

@@ -1,0 +1,189 @@
+"""Derivatives of an equilibrium that touches walls, by joint values and dimensions, by the implicit function theorem.
+
+Contact forces that stayed as they are would change the equilibrium like any other load, see `linearised.py`: point and
+tangent of the arm at contact k change by p_k and t_k. But contacts stay closed, and their forces turn with the wall.
+The unknowns change further, by d that minimises
+
+    d'(H - sum lambda_k g_k'') d / 2 - d' sum lambda_k (P_k' D_k p_k - b_k c_k / g_ss + T_k' n_k e_k)
+
+subject to n_k.(P_k d + p_k) = 0, with the symbols of `wall_contact.py`. The slope of the gap along the arm changes by
+c_k = n_k.t_k + t'D_k p_k. A contact at the end of a tube does not slide, but moves with that end, by e_k.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ..block.transcription.arm import ArmShape
+from ..block.transcription.collocated import ENDS
+from ..block.transcription.loaded import LoadedState
+from ..block.transcription.orientation import position_slopes
+from ..block.transcription.reduced import tube_turn
+from ..errors import SolveError
+from ..typing import Array
+from .linearised import Linearised, linearise
+from .result import Equilibrium
+from .wall_contact import HERE, Gap, Solved, Touch, Touching, solution_of
+
+
+class ContactChange(NamedTuple):
+    """Change of the arm at a contact under contact forces that stay as they are."""
+
+    place: Array
+    """Change p (3, Q) of the point of the arm."""
+    tangent: Array
+    """Change t (3, Q) of the tangent."""
+    end: Array
+    """Motion e (Q,) along the arm of the contact, m; 0 unless it is at the end of a tube."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearisedAmongWalls:
+    """Derivatives of an equilibrium that touches walls in Q directions, computed when they are read."""
+
+    free: Linearised
+    """Derivatives under contact forces that stay as they are."""
+    solved: Solved
+
+    # --- What contacts do not change ----------------------------------------------------------------------------------
+
+    @property
+    def wrt(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(self.free.wrt)
+
+    @property
+    def size(self) -> int:
+        """Number Q of directions."""
+        return self.free.size
+
+    @property
+    def shape(self) -> ArmShape:
+        """Shape of the arm."""
+        return self.free.shape
+
+    @property
+    def cuts(self) -> Array:
+        """Arc lengths (P + 1,) of the ends of the elements, m."""
+        return self.free.cuts
+
+    @property
+    def moved(self) -> Array:
+        """Motion (m, Q) along the arm of the shape points, which stay at fixed fractions of the elements, m."""
+        return self.free.moved
+
+    @property
+    def total_bend(self) -> float:
+        """Integral of the squared curvature, 1/m."""
+        return self.free.total_bend
+
+    # --- Contacts -----------------------------------------------------------------------------------------------------
+
+    @cached_property
+    def _state(self) -> LoadedState:
+        return self.solved.state
+
+    @property
+    def _touching(self) -> Touching:
+        return self.solved.touching
+
+    def _at_contact(self, touch: Touch, gap: Gap) -> ContactChange:
+        """Change of the arm at a contact, where an element begins or the arm ends."""
+        free, stretch = self.free, self._touching.stretch(touch.arc_length)
+        k = int(np.abs(free.cuts - touch.arc_length).argmin())
+        frame, turn = free.shape.frame[(len(ENDS) - 1) * k], free.response.state[k, free.n : free.n + 3]
+        place = free.position[(len(ENDS) - 1) * k].copy()
+        if k == len(free.cuts) - 1:
+            place -= free.pushed
+        at_end = not gap.slides and touch.arc_length > stretch.end - HERE
+        end = free.moved[(len(ENDS) - 1) * k] if at_end else np.zeros(self.size)
+        place += np.outer(frame[:, 2], end)
+        return ContactChange(place, np.cross(turn, frame[:, 2], axisa=0, axisc=0), end)
+
+    @cached_property
+    def x(self) -> Array:
+        """Further change d (X, Q) of the unknowns, which keeps the contacts closed."""
+        state, touches = self._state, self.solved.pressed
+        force, closing = np.zeros((len(state.x), self.size)), np.zeros((len(touches), self.size))
+        rows = np.zeros((len(touches), len(state.x)))
+        for k, touch in enumerate(touches):
+            gap = self._touching.gap(state, touch)
+            change = self._at_contact(touch, gap)
+            # lambda P'n at a contact whose normal turns, that slides, or that moves with the end of its tube.
+            turned = gap.place.T @ gap.wall @ change.place
+            if gap.slides:
+                sloped = gap.normal @ change.tangent + gap.tangent @ gap.wall @ change.place
+                turned -= np.outer(gap.mixed, sloped) / gap.bend
+            turned += np.outer(gap.normal @ gap.turn, change.end)
+            force += touch.force * turned
+            rows[k], closing[k] = gap.by_x, -(gap.normal @ change.place)
+        second = self._touching.second_variation(state, touches)
+        closed = np.linalg.lstsq(rows, closing, rcond=None)[0]
+        return closed + second.response(force - second.hessian @ closed)
+
+    @cached_property
+    def _curvature(self) -> Array:
+        """Further change (2 N, Q) of the curvature at the points."""
+        return np.asarray(self._state.curvature_slope @ self.x)
+
+    # --- Results ------------------------------------------------------------------------------------------------------
+
+    @property
+    def tip_position(self) -> Array:
+        """Derivative (3, Q) of the tip position, m."""
+        weight = self._touching.member.torsion.weight
+        return np.asarray(self.free.tip_position + position_slopes(self._state.orientation, weight) @ self._curvature)
+
+    @property
+    def tip_rotation(self) -> Array:
+        """Turn (3, Q) of the tip frame about world axes, rad."""
+        return np.asarray(self.free.tip_rotation + self._state.orientation.turn_slope() @ self._curvature)
+
+    @property
+    def tip_rotations(self) -> Array:
+        """Derivative (n, Q) of theta at the ends of the tubes, rad."""
+        torsion = self._touching.member.torsion
+        tip = len(torsion.mesh.length)
+        rows = np.array([tube_turn(torsion, tube, tip).row for tube in range(self.free.n)])
+        return np.asarray(self.free.tip_rotations + rows @ self.x[: torsion.size])
+
+    @property
+    def position(self) -> Array:
+        """Derivative (m, 3, Q) of the shape points at fixed arc lengths, m; of the last one, of the tip."""
+        weights = np.array([self._touching.weights(s)[0] for s in self.shape.arc_length.tolist()])
+        return np.asarray(self.free.position + position_slopes(self._state.orientation, weights) @ self._curvature)
+
+    @property
+    def energy(self) -> Array:
+        """Derivative (Q,) of the elastic energy, J: the contact and load forces do work on the further change."""
+        return np.asarray(self.free.energy + (self._state.gradient - self._state.load_slope) @ self.x)
+
+    @property
+    def bend(self) -> Array:
+        """Derivative (Q,) of `total_bend`, 1/m."""
+        weighted = 2 * self._touching.member.torsion.weight[:, None] * self._state.curvature
+        return np.asarray(self.free.bend + weighted.ravel() @ self._curvature)
+
+    @property
+    def margin(self) -> Array:
+        """Raises SolveError: the derivative of a margin among walls is a difference of two equilibria."""
+        raise SolveError("the arm touches walls; the derivative of its margin is not known")
+
+
+def linearise_among_walls(
+    equilibrium: Equilibrium, wrt: Sequence[str], side: int = 1, along: Array | None = None
+) -> LinearisedAmongWalls:
+    """Derivatives of an equilibrium that touches walls.
+
+    Raises:
+        InputError: an equilibrium from a file, which has no walls.
+        SolveError: it is a fold.
+    """
+    solved = solution_of(equilibrium)
+    free = replace(equilibrium, walls=None)
+    return LinearisedAmongWalls(linearise(free, wrt, side, along=along), solved)
