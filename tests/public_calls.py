@@ -159,6 +159,14 @@ CALLS: dict[str, Call] = {
         tubeopt.follow_tip_path,
         lambda: {"robot": PAIR, "path": [home().tip_position, home().tip_position + 1e-4], "options": QUICK},
     ),
+    "deploy": (
+        tubeopt.deploy,
+        lambda: {
+            "robot": PAIR,
+            "path": [[0.0, 0.0, 0.02]],
+            "walls": [bodies.Corridor([[0, 0, -0.05], [0, 0, 0.05]], 0.03)],
+        },
+    ),
     "build_roadmap": (tubeopt.build_roadmap, lambda: {"robot": PAIR, "count": 4, "options": QUICK}),
     "evaluate_reach": (
         tubeopt.evaluate_reach,

@@ -282,6 +282,8 @@ def test_derivatives_keep_contacts_closed(fraction):
         turn = Rotation.from_matrix(far[0].frame[-1] @ far[1].frame[-1].T).as_rotvec() / (2 * step)
         assert np.allclose(turn, jacobian.rotation[:, column], atol=1e-5)
         assert slope(lambda e: e.energy) == pytest.approx(jacobian.energy[column], abs=1e-7)
+        pressing = slope(lambda e: e.walls.contacts[0].size)
+        assert derivatives.contact_forces[0, column] == pytest.approx(pressing, rel=1e-3, abs=1e-6)
         assert np.allclose(slope(lambda e: e.rotation[:, -1]), jacobian.tip_rotations[:, column], atol=1e-5)
         along = slope(lambda e: ArmSurface(e).centreline(np.array([s]))[0])
         assert np.allclose(along, derivatives.position[k, :, column], atol=1e-6)

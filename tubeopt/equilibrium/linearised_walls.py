@@ -42,6 +42,15 @@ class ContactChange(NamedTuple):
     """Motion e (Q,) along the arm of the contact, m; 0 unless it is at the end of a tube."""
 
 
+class _Further(NamedTuple):
+    """What changes besides, since contacts stay closed."""
+
+    x: Array
+    """Change d (X, Q) of the unknowns."""
+    forces: Array
+    """Change (K, Q) of the contact forces, N."""
+
+
 @dataclass(frozen=True, eq=False)
 class LinearisedAmongWalls:
     """Derivatives of an equilibrium that touches walls in Q directions, computed when they are read."""
@@ -106,10 +115,9 @@ class LinearisedAmongWalls:
         return ContactChange(place, np.cross(turn, frame[:, 2], axisa=0, axisc=0), end)
 
     @cached_property
-    def x(self) -> Array:
-        """Further change d (X, Q) of the unknowns, which keeps the contacts closed."""
+    def _further(self) -> _Further:
         state, touches = self._state, self.solved.pressed
-        force, closing = np.zeros((len(state.x), self.size)), np.zeros((len(touches), self.size))
+        turning, closing = np.zeros((len(state.x), self.size)), np.zeros((len(touches), self.size))
         rows = np.zeros((len(touches), len(state.x)))
         for k, touch in enumerate(touches):
             gap = self._touching.gap(state, touch)
@@ -119,12 +127,23 @@ class LinearisedAmongWalls:
             if gap.slides:
                 sloped = gap.normal @ change.tangent + gap.tangent @ gap.wall @ change.place
                 turned -= np.outer(gap.mixed, sloped) / gap.bend
-            turned += np.outer(gap.normal @ gap.turn, change.end)
-            force += touch.force * turned
+            turning += touch.force * (turned + np.outer(gap.normal @ gap.turn, change.end))
             rows[k], closing[k] = gap.by_x, -(gap.normal @ change.place)
         second = self._touching.second_variation(state, touches)
         closed = np.linalg.lstsq(rows, closing, rcond=None)[0]
-        return closed + second.response(force - second.hessian @ closed)
+        x = closed + second.response(turning - second.hessian @ closed)
+        # grad of the Lagrangian stays 0: H'd - turning = A' d lambda.
+        return _Further(x, np.linalg.lstsq(rows.T, second.hessian @ x - turning, rcond=None)[0])
+
+    @property
+    def x(self) -> Array:
+        """Further change d (X, Q) of the unknowns, which keeps the contacts closed."""
+        return self._further.x
+
+    @property
+    def contact_forces(self) -> Array:
+        """Derivative (K, Q) of the sizes of the contact forces, base to tip, N."""
+        return self._further.forces
 
     @cached_property
     def _curvature(self) -> Array:
@@ -178,7 +197,7 @@ class LinearisedAmongWalls:
 def linearise_among_walls(
     equilibrium: Equilibrium, wrt: Sequence[str], side: int = 1, along: Array | None = None
 ) -> LinearisedAmongWalls:
-    """Derivatives of an equilibrium that touches walls.
+    """Derivatives of an equilibrium that touches walls; with a contact at the tip, to side 1.
 
     Raises:
         InputError: an equilibrium from a file, which has no walls.
@@ -186,4 +205,7 @@ def linearise_among_walls(
     """
     solved = solution_of(equilibrium)
     free = replace(equilibrium, walls=None)
+    # A load at the tip has no place on an arm that draws back, while a contact there moves with the tip.
+    length = float(equilibrium.arc_length[-1])
+    side = 1 if any(touch.arc_length > length - HERE for touch in solved.pressed) else side
     return LinearisedAmongWalls(linearise(free, wrt, side, along=along), solved)

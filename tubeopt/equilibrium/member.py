@@ -71,6 +71,8 @@ from .result import Equilibrium
 HOME_TURN = math.pi / 8
 """Largest rotation (rad) of a tube per step of the path from home."""
 
+SAME_CUT = 1e-9
+"""Largest difference (m) of places at which two meshes are cut at the same one."""
 
 S = TypeVar("S", Evaluation, LoadedState, BundleState)
 M = TypeVar("M", bound="Member[Any]")
@@ -730,10 +732,18 @@ class Loaded(Member[LoadedState]):
         return x
 
     def _same_points(self, known: LoadedProblem) -> bool:
-        """True if points and unknowns of another problem correspond one to one to those of this one."""
+        """True if points and unknowns of another problem correspond one to one to those of this one.
+
+        Breakpoints move with the tubes, and cuts of the load stay. A cut elsewhere, as at a contact that slid, does not
+        correspond.
+        """
         one, other = self.problem.torsion, known.torsion
         same_mesh = len(one.weight) == len(other.weight) and np.array_equal(one.mesh.section, other.mesh.section)
-        return same_mesh and np.array_equal(one.flat, other.flat)
+        return (
+            same_mesh
+            and np.array_equal(one.flat, other.flat)
+            and np.allclose(one.assembly.between_tubes, other.assembly.between_tubes, rtol=0, atol=SAME_CUT)
+        )
 
     def _twist(self, point: AnyPoint) -> Array:
         """(N, n) twist of a point at the collocation points of this member, for all tubes."""

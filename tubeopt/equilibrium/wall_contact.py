@@ -420,7 +420,8 @@ class _Arm(NamedTuple):
     tube_end: Array
 
 
-class Solved(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Solved:
     """Equilibrium with the walls at one place."""
 
     touching: Touching
@@ -435,7 +436,7 @@ class Solved(NamedTuple):
         """Contacts with a force, base to tip."""
         return tuple(sorted((t for t in self.touches if t.force > 0), key=lambda touch: touch.arc_length))
 
-    @property
+    @cached_property
     def state(self) -> LoadedState:
         """State under the contact forces."""
         return self.touching.at(self.x, self.touches)
@@ -445,7 +446,7 @@ class Solved(NamedTuple):
         """Smallest distance of the arm's surface from the walls, m; negative inside."""
         return self.touching.surface(self.state).clearance(self.touching.walls.scene)
 
-    @property
+    @cached_property
     def margin(self) -> float:
         """Smallest eigenvalue of the second variation on motions that keep pressed contacts closed."""
         return least(self.touching.second_variation(self.state, self.touches).form)
@@ -561,10 +562,12 @@ class Milestone(NamedTuple, Generic[P]):
     state: P
 
 
-def along_joints(start: Solved, rotations: Array, translations: Array) -> Iterator[Milestone[Solved]]:
+def along_joints(
+    start: Solved, rotations: Array, translations: Array, shortest: float = SHORTEST_STEP
+) -> Iterator[Milestone[Solved]]:
     """Stable equilibria on the straight path to joint values (n,), without `start`, as far as its branch reaches.
 
-    The last one is at t = 1, or less than SHORTEST_STEP of a step before the branch ends.
+    The last one is at t = 1, or less than the fraction `shortest` of a step before the branch ends.
     """
     member = start.touching.member
     turn, shift = rotations - member.rotations, translations - np.array(member.translations)
@@ -580,7 +583,7 @@ def along_joints(start: Solved, rotations: Array, translations: Array) -> Iterat
             rate = distance / (t - last.t)
             last, step = Milestone(t, following), min(2 * step, longest)
             yield last
-        elif step < SHORTEST_STEP * longest:
+        elif step < shortest * longest:
             return
         else:
             step = min(step, t - last.t) / 2

@@ -308,6 +308,11 @@ class JointSpace:
         n = self.robot.n_tubes
         return self._placed((self.lower + self.upper)[:n] / 2, lambda bottom, top: (bottom + top) / 2)
 
+    def drawn_back(self, length: float) -> Array:
+        """Joint values (m,) at home rotations with every tube at most `length` (m) farther out than need be."""
+        rotations = self.middle()[: self.robot.n_tubes]
+        return self._placed(rotations, lambda bottom, top: min(bottom + length, top))
+
     def _placed(self, rotations: Array, choose: Callable[[float, float], float]) -> Array:
         """Joint values (m,) with given rotations (n,) and translations in order; see `in_order`."""
         ranges = translation_ranges(self.robot.tubes, self.limits)

@@ -2,6 +2,7 @@
 
 from .arms import ArmsProof, PairProof, PlacedRobot, verify_arms
 from .arms_plan import ArmsPlan, plan_arms
+from .deployment import Deployment, DeploymentStatus, deploy
 from .goals import TipGoal
 from .motion import RateLimits
 from .optimal_motion import Motion
@@ -16,6 +17,8 @@ from .trajectory import Entry, PlanStatistics, Trajectory
 __all__ = [
     "ArmsPlan",
     "ArmsProof",
+    "Deployment",
+    "DeploymentStatus",
     "Entry",
     "EntryRegion",
     "Motion",
@@ -33,6 +36,7 @@ __all__ = [
     "TipGoal",
     "Trajectory",
     "build_roadmap",
+    "deploy",
     "evaluate_reach",
     "follow_the_leader",
     "follow_tip_path",

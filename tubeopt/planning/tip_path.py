@@ -120,7 +120,7 @@ def follow_tip_path(  # noqa: PLR0913
     for first in _starts(task, curve, start, tolerance):
         spacing = SPACING * task.coordinates.space.length
         for _ in range(REFINEMENTS + 1):
-            points = _spaced(curve, spacing)
+            points = spaced(curve, spacing)
             equilibria, why = _solve_along(task, first, points)
             fraction = len(equilibria) / len(points)
             if fraction < 1:
@@ -160,7 +160,7 @@ def _curve(path: ArrayLike, spline: bool) -> Array:
     return fine_points
 
 
-def _spaced(curve: Array, spacing: float) -> Array:
+def spaced(curve: Array, spacing: float) -> Array:
     """Points on a polyline at most `spacing` (m) apart, with all corners."""
     out = [curve[:1]]
     for a, b in pairwise(curve):

@@ -69,6 +69,12 @@ class Assembly:
         """True if a tube is made of pieces, which have their own breakpoints."""
         return self.lengthwise is not None
 
+    @cached_property
+    def between_tubes(self) -> Array:
+        """Arc lengths of the breakpoints at which no tube begins, ends or begins to curve, as of loads, m."""
+        same = (self.present[1:] == self.present[:-1]).all(1) & (self.curved[1:] == self.curved[:-1]).all(1)
+        return np.asarray(self.start[1:][same])
+
     def cross_sections(self, arc_length: Array, inside: Array) -> CrossSections:
         """Cross-sections at arc lengths (X,), m; at breakpoints, on the side of `inside` (X,)."""
         section = np.searchsorted(self.start, inside, side="right") - 1
