@@ -43,7 +43,7 @@ class ContactChange(NamedTuple):
 
 
 class _Further(NamedTuple):
-    """What changes besides, since contacts stay closed."""
+    """Further changes, since contacts stay closed."""
 
     x: Array
     """Change d (X, Q) of the unknowns."""
@@ -133,7 +133,8 @@ class LinearisedAmongWalls:
         closed = np.linalg.lstsq(rows, closing, rcond=None)[0]
         x = closed + second.response(turning - second.hessian @ closed)
         # grad of the Lagrangian stays 0: H'd - turning = A' d lambda.
-        return _Further(x, np.linalg.lstsq(rows.T, second.hessian @ x - turning, rcond=None)[0])
+        forces = np.linalg.lstsq(rows.T, second.hessian @ x - turning, rcond=None)[0]
+        return _Further(x, np.asarray(forces))
 
     @property
     def x(self) -> Array:

@@ -88,7 +88,7 @@ class Deployment(Displayed):
     """Outcome."""
     largest_force: Annotated[float, unit("mN"), form(".4g"), "largest force of a wall on the way"]
     reason: str = ""
-    """What kept the tip from the end of the path; "" if it was reached."""
+    """Reason why the tip is not at the end of the path, or ""."""
 
     @property
     def rotations(self) -> Array:
@@ -112,7 +112,7 @@ class _AmongWalls(Posture):
     """Posture among walls."""
 
     solved: Solved
-    """Its solution, from which the next one is solved."""
+    """Solution of the equilibrium, from which the next one is solved."""
     largest: float
     """Largest force of a wall on the way to it, N."""
 
@@ -192,7 +192,7 @@ class _Lead:
         return Restored(_AmongWalls(self.space, q, equilibrium, end.state, largest), solves)
 
     def reason(self, at: _AmongWalls) -> str:
-        """What keeps the tip from the point."""
+        """Limits that keep the tip from the point, as text."""
         miss = float(np.linalg.norm(at.tip - self.target))
         limits = [
             f"body {contact.body} presses with {contact.size * TO_MILLI:.4g} mN at {contact.arc_length * TO_MM:.4g} mm"
@@ -237,8 +237,8 @@ def deploy(  # noqa: PLR0913
         start: first pose. By default all tubes are drawn back as far as `limits` allow.
         load: load on the arm besides the walls.
         largest_force: limit on the force of every contact, N.
-        tolerance: distance (m) by which the tip may leave the path to lower the forces. It ends at most this far from
-            the last point, or is blocked.
+        tolerance: largest distance (m) of the tip from the last point. On the way the tip leaves the path about as far
+            where this lowers the forces.
         min_margin: smallest margin with the walls.
         limits: ranges of the joint values.
         progress: called with the number of points reached.
