@@ -78,7 +78,7 @@ class DeploymentStatus(StatusEnum):
 
 @dataclass(frozen=True, eq=False)
 class Deployment(Displayed):
-    """Motion of an arm whose tip follows a path among walls."""
+    """Motion of an arm that leads its tip along a path among walls."""
 
     equilibria: Sequence[Equilibrium]
     """(T,) stable equilibria, the start first, then one per point of the path."""
@@ -86,7 +86,7 @@ class Deployment(Displayed):
     """(T, 3) points of the path that the tip was led to, m; the first is the start."""
     status: DeploymentStatus
     """Outcome."""
-    largest_force: Annotated[float, unit("mN"), form(".4g"), "largest force of a wall on the way"]
+    largest_force: Annotated[float, unit("mN"), form(".4g"), "largest force of a wall during the motion"]
     reason: str = ""
     """Reason why the tip is not at the end of the path, or ""."""
 
@@ -229,7 +229,7 @@ def deploy(  # noqa: PLR0913
     progress: Callable[[int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
 ) -> Deployment:
-    """Motion of an arm whose tip follows a path among walls that it may touch, with forces below a limit.
+    """Motion of an arm that leads its tip along a path among walls; contact forces stay below a limit.
 
     Args:
         path: (k, 3) points, m: a polyline, such as the centreline of a vessel. The tip is first led to its first point.
@@ -237,7 +237,7 @@ def deploy(  # noqa: PLR0913
         start: first pose. By default all tubes are drawn back as far as `limits` allow.
         load: load on the arm besides the walls.
         largest_force: limit on the force of every contact, N.
-        tolerance: largest distance (m) of the tip from the last point. On the way the tip leaves the path about as far
+        tolerance: largest distance (m) of the tip from the last point. Before, the tip leaves the path about as far
             where this lowers the forces.
         min_margin: smallest margin with the walls.
         limits: ranges of the joint values.
