@@ -574,6 +574,8 @@ def test_a_snap_in_time_is_shown_saved_and_drawn(run: Run, tmp_path: Path) -> No
     assert record["duration_ms"] == pytest.approx(1e3 * moving.duration)
     assert record["peak_speed_m_per_s"] == pytest.approx(moving.peak_speed)
     assert record["swept_area_mm2"] == pytest.approx(1e6 * moving.swept_area)
+    assert record["swept_volume_cm3"] == pytest.approx(1e6 * moving.swept_volume)
+    assert record["damping"] == "given"
     assert record["status"] == str(moving.status)
     outcome = run(*IN_TIME, "--duration-ms", "1.5", "--out", str(tmp_path / "out"))
     assert outcome.code == 0
@@ -596,7 +598,7 @@ def test_a_film_of_a_snap_in_time(tmp_path: Path) -> None:
         animate_snap(moving, tmp_path / "snap.avi")
 
 
-@pytest.mark.parametrize("flag", ["--relaxation-us=2", "--duration-ms=3", "--rates-deg-per-s=1,0,0"])
+@pytest.mark.parametrize("flag", ["--relaxation-us=2", "--duration-ms=3", "--friction", "--rates-deg-per-s=1,0,0"])
 def test_flags_of_a_snap_in_time_need_it(run: Run, flag: str) -> None:
     (message,) = refused(run("snap", CRL, "--to-deg", "360,0,0", flag))
     assert "it is for a snap in time" in message

@@ -11,7 +11,19 @@ import scipy
 
 from tests.examples import CRL, DEG, nested
 from tests.stability.rod_dynamics import Chain, motion_of
-from tubeopt import ConcentricRobot, InputError, Load, Material, Snap, SnapInTime, find_snap, load_robot, snap_in_time
+from tubeopt import (
+    ConcentricRobot,
+    Friction,
+    InputError,
+    Load,
+    Material,
+    Snap,
+    SnapInTime,
+    find_snap,
+    follow,
+    load_robot,
+    snap_in_time,
+)
 from tubeopt.block.transcription.inertia import TubeMotion
 from tubeopt.equilibrium.kinematics import forward_kinematics, unsolved
 from tubeopt.robots.materials import THERMAL_DATA
@@ -141,6 +153,47 @@ def test_a_snap_lands_where_slow_motion_predicts(crl_snap: Snap, load: Load | No
     np.testing.assert_allclose(moving.tip_rotations[-1], snap.after.tip_rotations, atol=1e-3)
     np.testing.assert_allclose(moving.tip_position[-1], snap.after.tip_position, atol=1e-5)
     np.testing.assert_allclose(moving.arms[-1].tip_position, moving.tip_position[-1], atol=1e-12)
+
+
+def test_friction_acts_on_the_relative_rotations() -> None:
+    law = Friction(torque=(2e-3, 3e-3), plate=1e-4, ends=(0.0, 2e-4))
+    system, y, _ = motion(CRL, np.array([0.4, 1.3, -0.7]), 1e-6, Load())
+    friction, assembly = replace(system, between=law).friction, system.problem.torsion.assembly
+    ends = assembly.end
+    # All torques per length, one at the plate for each pair, and one at the end of the outermost tube.
+    total = 2e-3 * ends[1] + 3e-3 * ends[2] + 2 * 1e-4 + 2e-4
+    assert friction.capacity.sum() == pytest.approx(total, rel=1e-12)
+    d, shape = np.random.default_rng(2).normal(size=len(y)), system.shape(y)
+    other = system.shape(y + 1e-3 * d)
+    k = int(np.argmin(np.abs(shape.arc_length - ends[2])))
+    turned = (other.rotation - shape.rotation)[:, k] / 1e-3
+    assert friction.rows[-1] @ d == pytest.approx(turned[2] - turned[1], rel=1e-6)
+    force, slope = friction.at(np.full(len(friction.capacity), 1e4))
+    np.testing.assert_allclose(force, friction.capacity, rtol=1e-6)
+    assert (slope < 1e-6 * friction.capacity).all()
+
+
+def test_a_snap_with_friction_starts_where_friction_lets_go(crl_snap: Snap) -> None:
+    friction, turn = Friction(ends=2e-5), np.linspace(0.0, 2 * np.pi, 61)[:, None] * (1.0, 0.0, 0.0)
+    snap = follow(CRL, turn, np.zeros((61, 3)), friction=friction).snaps[0]
+    assert snap.rotations[0] > crl_snap.rotations[0] + 0.01
+    moving = snap_in_time(snap, bending_inertia=False, relaxation=3e-5, rates=(5.0, 0.0, 0.0), duration=6e-3)
+    assert moving.status is MotionEnd.LANDED
+    assert moving.energy_error < 1e-6
+    # The equilibrium that is lost without friction is held by it while the drives rest.
+    held = snap_in_time(crl_snap, bending_inertia=False, friction=friction, duration=6e-3)
+    assert held.status is MotionEnd.MOVING
+    assert np.abs(held.tip_rotations[-1] - crl_snap.before.tip_rotations).max() < 0.02
+    with pytest.raises(InputError, match="friction acts on sliding tubes"):
+        snap_in_time(crl_snap, friction=Friction(torque=1e-3, sliding=True))
+
+
+def test_the_swept_volume_is_the_swept_area_times_the_width(crl_snap: Snap) -> None:
+    moving = snap_in_time(crl_snap, bending_inertia=False, relaxation=3e-5)
+    assert moving.given
+    # The outer tube reaches as far as the others, and covers all of the arm.
+    width, length = CRL.tubes[-1].outer_diameter, crl_snap.before.arc_length[-1]
+    assert moving.swept_volume == pytest.approx(np.pi / 4 * width**2 * length + width * moving.swept_area, rel=1e-9)
 
 
 def turn_at_tip(theta: float) -> float:

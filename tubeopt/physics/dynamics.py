@@ -1,4 +1,4 @@
-"""Inertia and material damping of tubes at one cross-section, in arithmetic alone: of numbers, arrays or expressions.
+"""Inertia, material damping and friction of tubes, in arithmetic alone: of numbers, arrays or expressions.
 
 Per length of the arm, with the velocity v of the centreline, the rotations theta and the curvature u,
 
@@ -13,7 +13,7 @@ are smaller by the square of tube radius over arm length.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 
 def polar_inertia(mass: Any, outer_diameter: Any, inner_diameter: Any) -> Any:
@@ -24,3 +24,19 @@ def polar_inertia(mass: Any, outer_diameter: Any, inner_diameter: Any) -> Any:
 def felt_bending_rate(bending_rate: tuple[Any, Any], turn_rate: Any, curvature: tuple[Any, Any]) -> tuple[Any, Any]:
     """Rate of curvature that a tube feels, du/dt - dtheta/dt e_z x u, x and y, 1/(m s)."""
     return bending_rate[0] + turn_rate * curvature[1], bending_rate[1] - turn_rate * curvature[0]
+
+
+class DryFriction(NamedTuple):
+    """Coulomb friction at R contacts."""
+
+    rows: Any
+    """Derivative (R, Y) of the relative displacements by the coordinates."""
+    capacity: Any
+    """Largest friction forces (R,)."""
+    creep: float
+    """Relative rate at which a contact has 71 % of its friction; below it friction falls to 0 with the rate."""
+
+    def at(self, rate: Any) -> tuple[Any, Any]:
+        """Friction forces (R,) at relative rates (R,), and their derivatives (R,)."""
+        size = (rate**2 + self.creep**2) ** 0.5
+        return self.capacity * rate / size, self.capacity * self.creep**2 / size**3

@@ -129,24 +129,30 @@ class SnapStudy(Loaded, Timed):
     duration_ms: Annotated[Positive | None, Typical(1e-5, 10.0)] = Field(
         None, description="in time: time to simulate; default one period of the slowest vibration after the snap"
     )
+    friction: bool = Field(
+        False,
+        description="in time: friction of the robot file acts; the drives must turn (rates_deg_per_s) to overcome it",
+    )
     rates_deg_per_s: OnePerTube | None = Field(
         None, description="in time: rotation rates of the drives; default drives at rest"
     )
 
     @model_validator(mode="after")
     def _needs_time(self) -> Self:
-        keys = "quasi_static_bending", "relaxation_us", "duration_ms", "rates_deg_per_s"
+        keys = "quasi_static_bending", "relaxation_us", "duration_ms", "friction", "rates_deg_per_s"
         given = [key for key in keys if getattr(self, key) not in (None, False)]
         if given and not self.in_time:
             raise ValueError(f"{given[0]} is given without in_time; it is for a snap in time")
+        if self.friction and friction_of(self.robot) is None:
+            raise ValueError("friction is given, but the robot file has no friction")
         return self
 
     def _in_time(self, snap: Snap) -> SnapInTime:
-        relaxation = self.si("relaxation_us")
         return snap_in_time(
             snap,
             bending_inertia=not self.quasi_static_bending,
-            relaxation=RELAXATION if relaxation is None else relaxation,
+            relaxation=self.si("relaxation_us"),
+            friction=friction_of(self.robot) if self.friction else None,
             rates=self.si("rates_deg_per_s"),
             duration=self.si("duration_ms"),
         )

@@ -80,6 +80,7 @@ IN_TIME = described(
     "duration peak_speed",
     Quantity("energy_released_mJ", "energy released"),
     of_field(SnapInTime, "swept_area"),
+    of_field(SnapInTime, "swept_volume"),
     of_field(SnapInTime, "tip_path"),
     Quantity("dissipated_mJ", "energy dissipated in the material until the end", lambda m: m.dissipated[-1]),
     Quantity("drive_work_mJ", "work of the drives until the end", lambda m: m.drive_work[-1]),
@@ -87,6 +88,9 @@ IN_TIME = described(
     Quantity("simulated_ms", "simulated time", lambda m: m.time[-1], form=".3f"),
     Quantity("steps", "number of time steps", lambda m: m.statistics.steps, form="d"),
     "energy_error",
+    of_field(SnapInTime, "relaxation", text="{relaxation_us:g} us, {damping}"),
+    Quantity("damping", "source of the damping: assumed, or given", lambda m: "given" if m.given else "assumed: speeds "
+             "depend on it, see docs/snap-in-time.md"),
     Quantity("status", "end of the motion, as a sentence", lambda m: str(m.status), label="in time",
              text="{status}"),
 )  # fmt: skip

@@ -8,8 +8,10 @@ The kinetic energy is V' M V / 2 of the rates V of coordinates w(y) that depend 
 with a discrete Jacobian J and a discrete gradient G of the energy E (Gonzalez, J. Nonlinear Sci. 6 (1996)): those at
 the middle, plus a multiple of the step for which exactly J (y_1 - y_0) = w_1 - w_0 and G.(y_1 - y_0) = E_1 - E_0. The
 step times the equation then is the balance of energy: kinetic, elastic, work of the load f, and the dissipated
-(y_1 - y_0)' D (y_1 - y_0) / h. It holds for any step length, to the residual of Newton's method; the motion is accurate
-to second order. Simo and Tarnow (Z. angew. Math. Phys. 43 (1992)) found such steps for elastic bodies.
+(y_1 - y_0)' D (y_1 - y_0) / h. Dry friction of capacity c at relative rates g = R (y_1 - y_0) / h adds the term
+R' c g / (g^2 + e^2)^(1/2), and dissipates the work of it. The balance holds for any step length, to the residual of
+Newton's method; the motion is accurate to second order. Simo and Tarnow (Z. angew. Math. Phys. 43 (1992)) found such
+steps for elastic bodies.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import numpy as np
 import scipy
 
 from ..errors import SolveError
+from ..physics.dynamics import DryFriction
 from ..typing import Array
 from .time_limit import check_time
 
@@ -36,6 +39,10 @@ class MovingSystem(Protocol):
     @property
     def force(self) -> Array:
         """Dead load (W,)."""
+
+    @property
+    def friction(self) -> DryFriction:
+        """Friction."""
 
     def at(self, y: Array) -> Any:
         """State with `position` w (W,), elastic `energy` and its `gradient` (Y,)."""
@@ -157,24 +164,30 @@ def _step(
     jacobian, damping, mass = slopes.position, slopes.damping, system.mass
     inertia = jacobian[:, :free].T @ (mass @ jacobian[:, :free])
     matrix = 2 / h**2 * inertia + slopes.stiffness / 2 + damping[:free, :free] / h
+    friction, rows = system.friction, system.friction.rows[:, :free]
     # Close to the fold a long step may make it indefinite.
     factors, pivots, _ = scipy.linalg.lapack.dgetrf(matrix)
     change = guess.copy()
     for _ in range(ITERATIONS):
+        slip = friction.rows @ change
+        resisting, slope = friction.at(slip / h)
+        if len(rows):
+            # Friction changes its sign within a step, unlike all other forces.
+            factors, pivots, _ = scipy.linalg.lapack.dgetrf(matrix + rows.T @ ((slope / h)[:, None] * rows))
         after, middle = system.at(now.y + change), system.at(now.y + change / 2)
         moved, square = after.position - now.position, float(change[:free] @ change[:free])
         velocity = 2 * moved / h - now.velocity
         push = mass @ ((velocity - now.velocity) / h) - system.force
         # The discrete Jacobian and gradient: those at the middle, corrected along the step.
         along = (moved - jacobian @ change) @ push + after.energy - now.elastic - middle.gradient @ change
-        balance = jacobian.T @ push + middle.gradient + damping @ change / h
+        balance = jacobian.T @ push + middle.gradient + damping @ change / h + friction.rows.T @ resisting
         balance[:free] += change[:free] * (along / square if square else 0.0)
         step = scipy.linalg.lapack.dgetrs(factors, pivots, balance[:free])[0]
         size, error = float(np.linalg.norm(step)), abs(float(balance[:free] @ change[:free]))
         if not np.isfinite(size):
             return None
         if size <= tolerance and error <= unbalanced:
-            lost = float(change @ damping @ change) / h
+            lost = float(change @ damping @ change) / h + float(slip @ resisting)
             return _Step(
                 change,
                 Instant(

@@ -20,6 +20,7 @@ from ..equilibrium.member import Member, Point
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, positive, vector
 from ..files.field_metadata import form, unit
+from ..robots.concentric import Friction, check_friction
 from ..robots.load import Load, known_masses
 from ..solvers.blas import small
 from ..solvers.energy_momentum import Instant, motion
@@ -102,7 +103,7 @@ class SnapInTime(Displayed):
     potential: Array
     """(T,) elastic energy less the work of the load, J, less that of the equilibrium that is lost."""
     dissipated: Array
-    """(T,) energy dissipated in the material, J."""
+    """(T,) energy dissipated in the material and by friction between the tubes, J."""
     drive_work: Array
     """(T,) work of the drives, J."""
     duration: Annotated[float, unit("ms"), form(".4f"), "time of the snap, in which the tip turns from 10 to 90 %"]
@@ -110,6 +111,10 @@ class SnapInTime(Displayed):
     peak_speed: Annotated[float, unit("m_per_s"), form(".3f"), "largest speed of the tip"]
     swept_area: Annotated[float, unit("mm2"), form(".1f"), "area that the centreline sweeps in its first swing"]
     """Until half a period of the slowest vibration after the snap, m^2."""
+    swept_volume: Annotated[
+        float, unit("cm3"), form(".3f"), "volume of the arm and of what it sweeps in its first swing, at most"
+    ]
+    """m^3; space that the arm passes twice counts twice."""
     tip_path: Annotated[float, unit("mm"), form(".3f"), "path of the tip in its first swing"]
     """m."""
     frequencies: Annotated[Array, unit("Hz"), form(".1f"), "slowest vibrations after the snap"]
@@ -117,6 +122,10 @@ class SnapInTime(Displayed):
     damping_ratios: Annotated[Array, form(".2g"), "their damping ratios"]
     """(K,) fractions of the critical damping, to first order in the damping."""
     energy_error: Annotated[float, form(".1e"), "largest error of the energy balance over the energy released"]
+    relaxation: Annotated[float, unit("us"), "relaxation time of the damping"]
+    """s."""
+    given: bool
+    """True if the relaxation time was given, False for the assumed default."""
     arms: tuple[Equilibrium, ...]
     """Shapes at `arm_times`, for pictures: no equilibria, with the margin NaN."""
     arm_times: Array
@@ -141,7 +150,8 @@ def snap_in_time(
     snap: Snap,
     *,
     bending_inertia: bool = True,
-    relaxation: float = RELAXATION,
+    relaxation: float | None = None,
+    friction: Friction | None = None,
     rates: ArrayLike | None = None,
     duration: float | None = None,
     time_limit: float = TIME_LIMIT,
@@ -149,13 +159,18 @@ def snap_in_time(
     """Motion of the tubes through a snap: its time, the speed of the tip, what it sweeps, and vibrations after it.
 
     The energy is that of the equilibria. Tubes turn about their axes with their polar inertia and move sideways with
-    their mass, transmissions included; every fibre is damped by the law of Kelvin and Voigt. There is no friction
-    between the tubes. The motion starts at the equilibrium that is lost, with a push of 0.01 rad.
+    their mass, transmissions included; every fibre is damped by the law of Kelvin and Voigt. The motion starts at the
+    equilibrium that is lost, with a push of 0.01 rad.
+
+    Friction is that of the snap, if `follow` found it with friction; it then starts without a push. With another
+    `friction` the tubes creep through the lost equilibrium until the drives, at their `rates`, have overcome it.
 
     Args:
         snap: result of `find_snap` or `follow`, of a concentric robot without load or under a dead one.
         bending_inertia: False leaves out the mass of the arm, so that its bending follows the rotations at once.
-        relaxation: time of the damping law, s: the loss factor over the angular frequency. 0 for no damping.
+        relaxation: time of the damping law, s: the loss factor over the angular frequency. 0 for no damping; None for
+            1 us, which is assumed.
+        friction: friction between the tubes; None for that of the snap.
         rates: (n,) rotation rates of the drives, rad/s; None for drives at rest.
         duration: time to simulate, s; None until one period of the slowest vibration after the snap.
         time_limit: maximum run time, s.
@@ -182,22 +197,29 @@ def snap_in_time(
     if lost.load is not None and not lost.load.has_energy:
         raise InputError("the load of the snap has moments or turns with the tip; a snap in time needs a dead force")
     turning = np.zeros(robot.n_tubes) if rates is None else vector("rates", rates, robot.n_tubes)
-    relaxation, span = positive("relaxation", relaxation, zero=True), duration
+    tau, span = RELAXATION if relaxation is None else positive("relaxation", relaxation, zero=True), duration
     if span is not None:
         positive("duration", span)
-    member, x = unsolved(lost, lost.load or Load())
+    law = friction if friction is not None or lost.friction is None else lost.friction.friction
+    if law is not None:
+        check_friction(law, robot.n_tubes)
+        if law.sliding:
+            raise InputError("friction acts on sliding tubes; a snap in time has carriages at rest")
+    member, x = unsolved(replace(lost, friction=None), lost.load or Load())
     system = TubeMotion(
         problem=member.problem,
         density=known_masses(robot.tubes, "a snap in time needs masses"),
         diameters=np.array([[tube.outer_diameter, tube.inner_diameter] for tube in robot.tubes]),
-        relaxation=np.full(robot.n_tubes, relaxation),
+        relaxation=np.full(robot.n_tubes, tau),
         lateral=bending_inertia,
+        between=law,
     )
-    landed = member.transfer(Point.at(*unsolved(snap.after, lost.load or Load())))
+    landed = member.transfer(Point.at(*unsolved(replace(snap.after, friction=None), lost.load or Load())))
     vibrating = vibrations(system, np.concatenate([landed, lost.rotations]), member.at(landed).hessian)
     jump = snap.after.tip_rotations - lost.tip_rotations
     farthest = int(np.argmax(np.abs(jump)))
-    start, instants = np.concatenate([_pushed(member, x), lost.rotations]), list[Instant]()
+    pushed = x if lost.friction is not None else _pushed(member, x)
+    start, instants = np.concatenate([pushed, lost.rotations]), list[Instant]()
     steps = motion(system, start, turning, scale=snap.energy_released, tolerance=STEP_TOLERANCE, first=FIRST_STEP)
     for instant in steps:
         instants.append(instant)
@@ -206,7 +228,10 @@ def snap_in_time(
             span = instant.time + PERIODS / float(vibrating.frequency[0])
         if instant.time >= (LONGEST if span is None else span):
             break
-    return _answer(snap, system, instants, vibrating, _end(member, instants, landed, snap), began)
+    # Friction may hold the tubes far from where they would go without it.
+    held = law is not None and turned < RISE[1]
+    end = MotionEnd.MOVING if held else _end(member, instants, landed, snap)
+    return replace(_answer(snap, system, instants, vibrating, end, began), given=relaxation is not None)
 
 
 def _pushed(member: Member[Any], x: Array) -> Array:
@@ -220,6 +245,10 @@ def _pushed(member: Member[Any], x: Array) -> Array:
 def _end(member: Member[Any], instants: Sequence[Instant], landed: Array, snap: Snap) -> MotionEnd:
     """Status of a motion: the minimum below its last instant is that of the snap, or another one."""
     last = instants[-1].y[: len(landed)]
+    if snap.after.friction is not None:
+        # Friction holds tubes beside the minimum of the energy, to which both are compared.
+        without = slide(replace(member, rotations=snap.after.rotations), landed)
+        landed = landed if without is None else without.state.x
     result = slide(replace(member, rotations=instants[-1].y[len(landed) :]), last)
     if result is None:
         return MotionEnd.MOVING
@@ -263,6 +292,9 @@ def _answer(
     moved = np.diff(system.to_points @ tangent[during], axis=0)
     # What a point sweeps across the arm, in a step.
     across = np.linalg.norm(np.cross(moved, (tangent[during][1:] + tangent[during][:-1]) / 2), axis=2)
+    present = system.problem.torsion.assembly.present[system.problem.torsion.section]
+    width = (present * system.diameters[:, 0]).max(1)
+    volume = float(weight @ (np.pi / 4 * width**2)) + float((across @ (weight * width)).sum())
     kinetic, elastic, load_work, dissipated, drive_work = np.transpose(
         [(each.kinetic, each.elastic, each.load_work, each.dissipated, each.drive_work) for each in instants]
     )
@@ -285,10 +317,13 @@ def _answer(
         duration=high - low,
         peak_speed=float((path / np.diff(at)).max()),
         swept_area=float((across @ weight).sum()),
+        swept_volume=volume,
         tip_path=float(path[during[:-1]].sum()),
         frequencies=vibrating.frequency,
         damping_ratios=vibrating.ratio,
         energy_error=float(np.abs(total - total[0]).max() / released),
+        relaxation=float(system.relaxation[0]),
+        given=False,
         arms=tuple(_arm(snap, system, instants[k].y) for k in chosen),
         arm_times=at[chosen],
         status=end,

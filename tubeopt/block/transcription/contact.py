@@ -123,7 +123,7 @@ class Contact:
         return float(self.problem.energy_parts + abs(state.energy) + work)
 
 
-class _Concentrated(NamedTuple):
+class Concentrated(NamedTuple):
     """Concentrated friction of a pair of tubes at one arc length."""
 
     arc_length: float
@@ -147,7 +147,7 @@ def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None
     bending = 0 if under_load is None else under_load.size - problem.size
     index = np.full((len(problem.weight), n), -1)
     index[problem.point, problem.tube] = np.arange(problem.size)
-    concentrated = _concentrated(assembly, capacities)
+    concentrated = concentrated_friction(assembly, capacities)
     ends = sorted({(tube, part.arc_length) for part in concentrated for tube in (part.pair, part.pair + 1)})
     arc_length, tube = np.array([s for _, s in ends]), np.array([j for j, _ in ends], dtype=np.intp)
     by_z, by_y = _rotations_between(problem, arc_length, tube)
@@ -195,7 +195,7 @@ def _problem(
     return reduce(assembly, replace(mesh, collocated=(unknown.sum(1) > 0)[mesh.section]), unknown)
 
 
-def _concentrated(assembly: Assembly, capacities: dict[str, Array]) -> list[_Concentrated]:
+def concentrated_friction(assembly: Assembly, capacities: dict[str, Array]) -> list[Concentrated]:
     """Concentrated friction of all pairs; capacities at the same arc length are added."""
     total: dict[tuple[float, int], float] = {}
 
@@ -212,7 +212,7 @@ def _concentrated(assembly: Assembly, capacities: dict[str, Array]) -> list[_Con
         for s in {s for s, j in cuts if j in (i, i + 1) and LENGTH_ROUND_OFF < s < end - LENGTH_ROUND_OFF}:
             add(_nearest(assembly, s), i, capacities["jumps"][i])
         add(_nearest(assembly, end), i, capacities["ends"][i])
-    return [_Concentrated(s, pair, capacity) for (s, pair), capacity in total.items()]
+    return [Concentrated(s, pair, capacity) for (s, pair), capacity in total.items()]
 
 
 def _nearest(assembly: Assembly, s: float) -> float:

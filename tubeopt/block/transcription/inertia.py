@@ -18,15 +18,21 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from ...physics.dynamics import felt_bending_rate, polar_inertia
+from ...physics.dynamics import DryFriction, felt_bending_rate, polar_inertia
+from ...robots.concentric import PAIRWISE, Friction
 from ...typing import Array
 from .arm import ArmShape, along_elements, arc_lengths, sections_at
 from .buffered import section_function
 from .collocated import ENDS
+from .contact import concentrated_friction
 from .loaded import LoadedProblem
 from .mesh import Mesh, integrals
 from .orientation import centreline, orient, stages, tangent_slopes, tangents
 from .reduced import torsional_hessian
+
+# Far below the rates of a snap, some 1e4 rad/s, so that friction is that of Coulomb during it.
+CREEP = 10.0
+"""Relative rotation rate (rad/s) below which friction between the tubes falls."""
 
 TRANSMISSION_POINTS = 8
 """Quadrature points along a tube behind the plate, where the rotation is smooth."""
@@ -76,6 +82,8 @@ class TubeMotion:
     """Relaxation times tau (n,), s."""
     lateral: bool = True
     """False for a bending without inertia, which then follows the rotations."""
+    between: Friction | None = None
+    """Friction between the tubes, or None."""
 
     @property
     def n_tubes(self) -> int:
@@ -111,6 +119,30 @@ class TubeMotion:
         assembly = self.problem.torsion.assembly
         along = np.minimum(arc_length[:, None], np.maximum(assembly.end, 0.0))
         return np.asarray(assembly.compliant(assembly.transmission + along))
+
+    @cached_property
+    def friction(self) -> DryFriction:
+        """Friction between neighbouring tubes, of the relative rotations."""
+        torsion, law, n, split = self.problem.torsion, self.between, self.n_tubes, self.problem.torsion.size
+        none = np.zeros((0, self.problem.size + n))
+        if law is None or law.trivial:
+            return DryFriction(none, np.zeros(0), CREEP)
+        limits = {name: np.array(law.per_pair(name, n - 1)) for name in PAIRWISE}
+        point, pair = np.nonzero(torsion.assembly.present[torsion.section][:, 1:] & (limits["torque"] > 0))
+        rows, capacity = (
+            [self.turn_rows[point, pair + 1] - self.turn_rows[point, pair]],
+            [torsion.weight[point] * limits["torque"][pair]],
+        )
+        for part in concentrated_friction(torsion.assembly, limits):
+            turned = np.concatenate(
+                [self._twists(self._compliance_at(np.array([part.arc_length])))[0], np.eye(n)], axis=1
+            )
+            rows.append((turned[part.pair + 1] - turned[part.pair])[None])
+            capacity.append(np.array([part.capacity]))
+        by_turns = np.concatenate(rows)
+        table = np.zeros((len(by_turns), self.problem.size + n))
+        table[:, :split], table[:, self.problem.size :] = by_turns[:, :split], by_turns[:, split:]
+        return DryFriction(table, np.concatenate(capacity), CREEP)
 
     @cached_property
     def tip_rows(self) -> Array:
