@@ -188,6 +188,20 @@ def test_a_snap_with_friction_starts_where_friction_lets_go(crl_snap: Snap) -> N
         snap_in_time(crl_snap, friction=Friction(torque=1e-3, sliding=True))
 
 
+def test_the_arm_rings_with_the_vibrations_of_the_new_equilibrium(crl_snap: Snap) -> None:
+    moving = snap_in_time(crl_snap, bending_inertia=False, relaxation=5e-6, duration=8e-3)
+    late = moving.time > moving.time[-1] - 6 / moving.frequencies[0]
+    time, turn = moving.time[late], (moving.tip_rotations[:, 0] - crl_snap.after.tip_rotations[0])[late]
+    k = np.flatnonzero(turn[:-1] * turn[1:] < 0)
+    crossing = time[k] - turn[k] * (time[k + 1] - time[k]) / (turn[k + 1] - turn[k])
+    peaks = [np.abs(turn[a : b + 1]).max() for a, b in pairwise(k)]
+    assert len(k) > 8
+    assert 1 / (2 * np.diff(crossing).mean()) == pytest.approx(moving.frequencies[0], rel=0.04)
+    # Per half period the amplitude falls by the factor exp(-pi ratio).
+    decay = np.log(peaks[0] / peaks[-1]) / (len(peaks) - 1) / np.pi
+    assert decay == pytest.approx(moving.damping_ratios[0], rel=0.1)
+
+
 def test_the_swept_volume_is_the_swept_area_times_the_width(crl_snap: Snap) -> None:
     moving = snap_in_time(crl_snap, bending_inertia=False, relaxation=3e-5)
     assert moving.given
