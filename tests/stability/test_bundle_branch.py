@@ -8,8 +8,16 @@ import numpy as np
 import pytest
 
 from tests.equilibrium.test_bundle import long_bundle
-from tubeopt import BundleRobot, ConcentricRobot, EccentricRobot, find_snap, load_robot, trace_branch
+from tubeopt import BundleRobot, ConcentricRobot, EccentricRobot, find_equilibria, find_snap, load_robot, trace_branch
 from tubeopt.equilibrium.kinematics import unsolved
+
+
+def steep() -> BundleRobot:
+    """Three equal tubes that curve tightly enough for jumps where their ends pass each other."""
+    thesis = load_robot("thesis_etr")
+    assert isinstance(thesis, EccentricRobot)
+    slender = replace(thesis.tube, outer_diameter=1.421e-3, inner_diameter=1.162e-3, curvature=13.98)
+    return replace(thesis, tube=slender, offset=1.31e-3).bundle()
 
 
 def test_without_offsets_it_is_the_branch_of_nested_tubes() -> None:
@@ -20,6 +28,29 @@ def test_without_offsets_it_is_the_branch_of_nested_tubes() -> None:
     assert len(known.folds) == 2
     for one, other in zip(mine.folds, known.folds, strict=True):
         assert one.rotations == pytest.approx(other.rotations, abs=1e-8)
+
+
+def test_without_offsets_all_equilibria_are_those_of_nested_tubes() -> None:
+    nested = load_robot("two_tube")
+    bundle, turns = BundleRobot(nested.tubes, (0.0,) * 2, (0.0,) * 2), np.radians([190.0, 0.0])
+    mine, known = (find_equilibria(each, turns, nested.home_translations) for each in (bundle, nested))
+    assert [e.margin for e in mine] == pytest.approx([e.margin for e in known], abs=1e-6)
+    assert [e.energy for e in mine] == pytest.approx([e.energy for e in known], rel=1e-9)
+
+
+@pytest.mark.parametrize(("degrees", "stable"), [((30, 210.25, 30.5), 2), ((30, 210, 30), 2)])
+def test_all_equilibria_between_two_folds(degrees: tuple[float, ...], stable: int) -> None:
+    found = find_equilibria(long_bundle(), np.radians(degrees))
+    assert [e.margin > 0 for e in found] == [True] * stable + [False]
+
+
+def test_a_ridge_lies_between_two_orders_of_the_ends() -> None:
+    lower, upper, ridge = find_equilibria(steep(), np.radians([-131.338, 55.8818, 39.1552]))
+    assert lower.margin > 0.05
+    assert upper.margin > 0.05
+    assert np.isneginf(ridge.margin)
+    assert ridge.energy > upper.energy
+    assert (lower.tube_end.argsort() != upper.tube_end.argsort()).any()
 
 
 def test_a_branch_turns_at_its_folds_and_mirrors_itself() -> None:
@@ -36,10 +67,7 @@ def test_a_branch_turns_at_its_folds_and_mirrors_itself() -> None:
 
 def test_a_branch_crosses_a_ridge_where_ends_meet() -> None:
     """Two stable parts, and between them the order of the ends changes while the arm stands on a ridge."""
-    thesis = load_robot("thesis_etr")
-    assert isinstance(thesis, EccentricRobot)
-    slender = replace(thesis.tube, outer_diameter=1.421e-3, inner_diameter=1.162e-3, curvature=13.98)
-    robot = replace(thesis, tube=slender, offset=1.31e-3).bundle()
+    robot = steep()
     start = np.radians([-125.85, 48.13, 19.81])
     end = np.radians([-137.05, 63.95, 59.29])
     branch, snap = trace_branch(robot, start, end), find_snap(robot, (start, None), (end, None))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import combinations
@@ -61,6 +61,12 @@ from .result import Equilibrium
 
 SETTLE = partial(full_steps, iterations=8)
 """Newton's method for a state that is known but in a section without length."""
+
+NO_RIDGE = 1e-6
+"""Force (N) on the length of a section below which the energy has no kink there: ten times the round-off."""
+
+APART = 1e-7
+"""Length (m) of the elements of a section whose boundaries have just separated."""
 
 RESCALED = 10.0
 """Change of a length, as a factor, after which unknowns are whitened again, for shifts of their Hessian."""
@@ -294,6 +300,49 @@ class Bundled(Member[BundleState]):
         """(U, U) matrix of the second variation; its smallest eigenvalue is the margin."""
         return margin_form(state)
 
+    def margin(self, state: BundleState) -> float:
+        """Stability margin; minus infinity on a ridge: the energy falls where closed sections open in either order."""
+        out = super().margin(state)
+        for section, orders in self.closed(state):
+            if max(force for _, force in orders) < -NO_RIDGE:
+                return -np.inf
+            # Without a force the section is as free as an open one.
+            out = min([out, *(self._margin_apart(each, section) for each, force in orders if abs(force) < NO_RIDGE)])
+        return out
+
+    def closed(self, state: BundleState) -> Iterator[tuple[int, list[tuple[BundleState, float]]]]:
+        """Closed sections between two boundaries; the states in both orders of these, with the forces (N) that resist
+        opening the section.
+        """
+        held = state.problem.held
+        for section in held if self.descends else ():
+            alone = section > 0 and not {section - 1, section + 1} & set(held)
+            other = self.owner(state).with_exchange(state, section) if alone else None
+            if other is not None:
+                orders = (state, other)
+                yield (
+                    section,
+                    [(each, float(holding_forces(each)[each.problem.held.index(section)])) for each in orders],
+                )
+
+    def _margin_apart(self, state: BundleState, section: int) -> float:
+        """Margin of a state with a closed section free."""
+        order, held = state.problem.order, tuple(k for k in state.problem.held if k != section)
+        problem, x = rearranged(state, order, held)
+        free = replace(self, problem=problem)
+        start = free.at_scale(opened(problem, x, APART))
+        return super(Bundled, free.owner(start)).margin(start)
+
+    def with_exchange(self, state: BundleState, section: int) -> BundleState | None:
+        """Same state with the boundaries at the ends of a closed section in the other order; None if none is found."""
+        problem, x = exchanged(state, section, hold=True)
+        other = replace(self, problem=problem)
+        try:
+            result = SETTLE(other.at(x), other.advanced, other.largest_rotation, other.residual)
+        except VanishingError:
+            return None
+        return result.state if result.converged else None
+
     def softest(self, state: BundleState) -> Array:
         """(U,) unit vector of the unknowns for the softest direction of the form."""
         unknowns = mode_of(state, super().softest(state)).unknowns
@@ -365,6 +414,12 @@ class Bundled(Member[BundleState]):
             found = member.owner(result.state)
             apart = found.separated(result.state, freed, settle or SETTLE) if result.converged else None
             if apart is None:
+                forces = [
+                    [force for _, force in orders] for _, orders in found.closed(result.state) if result.converged
+                ]
+                if any(min(pair) < -NO_RIDGE < NO_RIDGE < max(pair) for pair in forces):
+                    # The ends slide past each other: no equilibrium, and Newton's method does not leave it.
+                    break
                 # After a change the first steps open a section, and say nothing about the branch.
                 contraction = 0.0 if member is not self else result.contraction
                 return replace(result, iterations=spent, contraction=contraction if result.converged else np.inf)

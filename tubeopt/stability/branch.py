@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arguments import typed
-from ..block.transcription.bundle import CLOSING, exchanged, holding_forces, opened, rearranged
+from ..block.transcription.bundle import CLOSING, VanishingError, holding_forces, opened, rearranged
 from ..display import Displayed
-from ..equilibrium.bundle import SETTLE, Bundled
+from ..equilibrium.bundle import NO_RIDGE, Bundled
 from ..equilibrium.continuation import Family, SampledJointPath, path_rates
 from ..equilibrium.kinematics import forward_kinematics, point_of, to_equilibrium
 from ..equilibrium.member import AnyPoint, Member, Point
@@ -22,6 +22,7 @@ from ..errors import InputError, SolveError, positive, vector
 from ..robots.limits import check_turn
 from ..robots.robot import Robot, shifts
 from ..solvers.blas import small
+from ..solvers.newton import full_steps
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array
 from .folds import fold
@@ -59,9 +60,6 @@ OPEN = 1e-6
 # Forces on sections without length have a round-off of about 1e-7 N.
 MET = 1e-7
 """Step along a branch below which a place on it is found."""
-
-NO_RIDGE = 1e-6
-"""Force (N) on the length of a section below which the energy is smooth there."""
 
 
 @typed
@@ -296,32 +294,43 @@ def _separated(curve: _Curve, before: AnyPoint, after: AnyPoint, tangent: Array)
                 if root is None:
                     raise _lost(before)
                 begun, along = _opened(curve, root, section, exchange=exchange)
-                return [_rescaled(root, ridge=force(before) < 0), begun], along
+                return [replace(root, margin=-np.inf) if force(before) < 0 else root, begun], along
     return None
 
 
 def _holding(section: int, point: AnyPoint, *, exchange: bool = False) -> float:
     """Force (N) by which a closed section resists being opened, in the order of its boundaries or in the other one."""
-    state = _exchanged(point, section).state if exchange else point.state
+    state = point.member.with_exchange(point.state, section) if exchange else point.state
+    if state is None:
+        raise _lost(point)
     return float(holding_forces(state)[state.problem.held.index(section)])
 
 
-def _exchanged(point: AnyPoint, section: int) -> AnyPoint:
-    """Same point with the boundaries of a closed section in the other order."""
-    problem, x = exchanged(point.state, section, hold=True)
-    member = replace(point.member, problem=problem)
-    result = SETTLE(member.at(x), member.advanced, member.largest_rotation, member.residual)
-    if not result.converged:
-        raise _lost(point)
-    return Point(point.t, member, result.state, point.margin)
+def ridges_beside(point: AnyPoint) -> Iterator[AnyPoint]:
+    """Points at the joint values of an equilibrium of a bundle where the arm is on a ridge, with two ends together."""
+    state, held = point.state, set(point.state.problem.held)
+    for section in range(1, len(state.problem.order)):
+        if held & {section - 1, section, section + 1}:
+            continue
+        problem, x = rearranged(state, state.problem.order, tuple(sorted({*held, section})))
+        member = replace(point.member, problem=problem)
+        try:
+            result = full_steps(member.at(x), member.advanced, member.largest_rotation, member.residual, 30)
+            ridge = Point.of(member, result, point.t)
+        except VanishingError:
+            continue
+        if result.converged and np.isneginf(ridge.margin):
+            yield ridge
 
 
 def _opened(curve: _Curve, point: AnyPoint, section: int, *, exchange: bool) -> tuple[AnyPoint, Array]:
     """Point at which a closed section has the length OPEN, in the order of its boundaries or in the other one."""
-    closed = _exchanged(point, section) if exchange else point
-    known = closed.state.problem
-    problem, x = rearranged(closed.state, known.order, tuple(k for k in known.held if k != section))
-    member = replace(closed.member, problem=problem)
+    closed = point.member.with_exchange(point.state, section) if exchange else point.state
+    if closed is None:
+        raise _lost(point)
+    known = closed.problem
+    problem, x = rearranged(closed, known.order, tuple(k for k in known.held if k != section))
+    member = replace(point.member, problem=problem)
     start = member.at_scale(opened(problem, x, OPEN))
     member = member.owner(start)
     longer = member.problem.lengths_by_bend[section] @ member.problem.bend_map
@@ -332,14 +341,9 @@ def _opened(curve: _Curve, point: AnyPoint, section: int, *, exchange: bool) -> 
     return found[0], curve.tangent(found[0], across)
 
 
-def _rescaled(point: AnyPoint, *, ridge: bool | None = None) -> AnyPoint:
-    """Same point, of a bundle in unknowns that are whitened for the lengths of its sections.
-
-    Its margin is minus infinity on a ridge of the energy.
-    """
+def _rescaled(point: AnyPoint) -> AnyPoint:
+    """Same point, of a bundle in unknowns that are whitened for the lengths of its sections."""
     if not isinstance(point.member, Bundled):
         return point
     state = point.member.at_scale(point.state.x)
-    if ridge is None:
-        ridge = any(max(_holding(k, point), _holding(k, point, exchange=True)) < 0 for k in state.problem.held)
-    return Point(point.t, point.member.owner(state), state, -np.inf if ridge else point.margin)
+    return Point(point.t, point.member.owner(state), state, point.margin)

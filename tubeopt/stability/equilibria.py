@@ -16,19 +16,24 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from ..arguments import typed
+from ..block.transcription.bundle import Bundle, Start, natural_start
 from ..block.transcription.mesh import reach
 from ..block.transcription.reduced import ReducedProblem
-from ..equilibrium.kinematics import forward_kinematics, to_equilibrium
+from ..block.transcription.second_variation import least
+from ..equilibrium.bundle import Bundled
+from ..equilibrium.kinematics import forward_kinematics, point_of, to_equilibrium
 from ..equilibrium.member import AnyPoint, Loaded, LoadedPoint, Member, PlainPoint, Point, Unloaded, sample_rotation
 from ..equilibrium.problem import check_load
 from ..equilibrium.result import Equilibrium
-from ..errors import InputError, Settings, SolveError
+from ..errors import Settings, SolveError
+from ..robots.eccentric import BundleRobot
 from ..robots.load import Load
 from ..robots.robot import Robot, joint_values
 from ..solvers.blas import small
 from ..solvers.sampling import sobol
 from ..solvers.time_limit import TIME_LIMIT, limited
 from ..typing import Array, Index
+from .branch import ridges_beside
 from .certificate import snap_free_certificate, worst_case
 from .folds import NUDGE, slide
 from .shooting import STEPS_PER_ELEMENT, ShootingArm, gain_of, profiles, sections_of, shoot
@@ -426,6 +431,9 @@ LOADED_STARTS = 128
 LARGEST_TWIST = 2 * np.pi
 """Largest twist (rad) of a tube at the tip that the starts cover, without that by external moments."""
 
+BENT = np.pi / 2
+"""Largest bend (rad) of a bundle by a load that its starts cover."""
+
 
 def loaded_equilibria(
     robot: Robot,
@@ -458,7 +466,7 @@ def loaded_equilibria(
     while count <= search.most_loaded_starts:
         starts = _starts(member, sequence.random(count))
         new = sum(add(result, member, x) for x in starts)
-        new += _descend(result, member, explored)
+        new += _descend(result, explored)
         # An energy has a minimum: without a stable equilibrium the set is not complete.
         if not new and degree(result) == 1 and (not member.descends or any(point.margin > 0 for point in result)):
             points = sorted(result, key=lambda point: point.state.potential if member.descends else -point.margin)
@@ -499,13 +507,27 @@ def add(equilibria: list[Any], member: Member[Any], x: Array) -> bool:
     result = member.solve(x, iterations=30)
     if not result.converged:
         return False
-    if any(member.largest_rotation(result.state, result.state.x - known.state.x) < SAME for known in equilibria):
+    return keep(equilibria, Point.of(member, result, 1.0))
+
+
+def keep(equilibria: list[Any], point: AnyPoint) -> bool:
+    """Append an equilibrium if it is a new one; True if so."""
+    member, state = point.member, point.state
+
+    def same(known: AnyPoint) -> bool:
+        if not isinstance(member, Bundled):
+            return bool(member.distance(known, state) < SAME)
+        # Ends together have two orders, each with unknowns of its own.
+        tips = (p.state.problem.tip_rows @ p.state.x for p in (known, point))
+        return bool(np.abs(np.subtract(*tips)).max() < SAME)
+
+    if any(same(known) for known in equilibria):
         return False
-    equilibria.append(Point.of(member, result, 1.0))
+    equilibria.append(point)
     return True
 
 
-def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> int:
+def _descend(result: list[Any], explored: set[int]) -> int:
     """Add equilibria reached from unstable ones on both sides of their unstable directions; returns their number.
 
     Only from real eigenvalues: the motion after flutter has no known end.
@@ -515,13 +537,78 @@ def _descend(result: list[LoadedPoint], member: Loaded, explored: set[int]) -> i
         if k in explored or point.margin >= 0:
             continue
         explored.add(k)
+        member = point.member
         values, vectors = (np.linalg.eigh if member.descends else np.linalg.eig)(point.state.hessian)
         for direction in vectors.real.T[(values.real < 0) & (values.imag == 0)]:
             push = NUDGE / member.largest_rotation(point.state, direction) * direction
             for side in (push, -push):
                 landed = slide(member, point.state.x + side)
-                new += landed is not None and add(result, member, landed.state.x)
+                new += landed is not None and add(result, member.owner(landed.state), landed.state.x)
     return new
+
+
+# --- Of bundles -------------------------------------------------------------------------------------------------------
+
+# The energy of a bundle has kinks where the order of its ends changes. Where it falls to both sides of one the arm is
+# on a ridge, which counts as a saddle with one more unstable direction.
+
+
+def bundle_equilibria(
+    robot: BundleRobot,
+    rotations: Array,
+    translations: tuple[float, ...],
+    load: Load | None,
+    search: EquilibriaSearch = DEFAULT_EQUILIBRIA_SEARCH,
+) -> list[Equilibrium]:
+    """All equilibria of a bundle, ridges included; the search is that of `loaded_equilibria`.
+
+    Returns:
+        Lowest potential energy first; without an energy, largest margin first.
+    """
+    first = forward_kinematics(robot, rotations, translations, load=load)
+    if load is None and snap_free_certificate(robot, translations) > CERTAIN:
+        return [first]
+    found, explored = [point_of(first)], set[int]()
+    descends = found[0].member.descends
+    sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), LOADED_STARTS
+    while count <= search.most_loaded_starts:
+        starts = _bundle_starts(robot, rotations, translations, load, sequence.random(count))
+        new = sum(add(found, member, x) for member, x in starts)
+        new += _descend(found, explored)
+        if descends:
+            new += sum(keep(found, ridge) for point in list(found) for ridge in ridges_beside(point))
+        if not new and degree(found) == 1 and (not descends or any(point.margin > 0 for point in found)):
+            points = sorted(found, key=lambda point: point.state.potential if descends else -point.margin)
+            return [to_equilibrium(point, "search from many starts") for point in points]
+        count *= 2
+    raise SolveError(
+        f"{len(found)} equilibria were found with degree {degree(found)} instead of 1: one is missing, joint values "
+        "are at a fold, or three ends of tubes meet"
+    )
+
+
+def _bundle_starts(
+    robot: BundleRobot, rotations: Array, translations: tuple[float, ...], load: Load | None, samples: Array
+) -> Iterator[tuple[Bundled, Array]]:
+    """Members and unknowns of arms with tubes twisted and bent linearly in arc length, from samples (B, n + 4)."""
+    n = robot.n_tubes
+    for sample in 2 * samples - 1:
+        twist = LARGEST_TWIST * sample[:n]
+
+        def untwisted(bundle: Bundle, places: list[float], turns: Array = rotations + twist / 2) -> Start:
+            return natural_start(bundle, turns, places)
+
+        member = Bundled.of(robot, rotations, translations, load, start=untwisted)
+        problem = member.problem
+        h = problem.nominal[problem.point_section][:, None]
+        s = problem.up_to @ h
+        theta = rotations + twist * s / s.max()
+        stiffness = problem.stiffness.sum(1) + problem.bundle.sheath
+        pull = problem.inputs[2][..., None] * np.stack([np.cos(theta), np.sin(theta)], -1)
+        pushed = BENT * (sample[n : n + 2] * (1 - s / s.max()) + sample[n + 2 :] * s / s.max()) / s.max()
+        bend = (pull.sum(1) / stiffness[:, None] + pushed * (load is not None)) * h
+        bend *= problem.bends.reshape(-1, 2)
+        yield member, problem.unknowns(twist * problem.present * h / s.max(), bend.ravel(), np.zeros(n))
 
 
 def degree(result: Iterable[AnyPoint]) -> int:
@@ -529,7 +616,14 @@ def degree(result: Iterable[AnyPoint]) -> int:
 
     The equations deform into those without coupling, which have one solution.
     """
-    return int(sum(np.linalg.slogdet(each.state.hessian)[0] for each in result))
+    return int(sum(_sign(each) for each in result))
+
+
+def _sign(point: AnyPoint) -> float:
+    """Sign of det H; opposite where a bundle is unstable because ends that are together separate, as on a ridge."""
+    sign, margin = float(np.linalg.slogdet(point.state.hessian)[0]), point.margin
+    opens = isinstance(point.member, Bundled) and margin < 0 < least(point.member.form(point.state))
+    return -sign if opens or np.isneginf(margin) else sign
 
 
 # --- Search -----------------------------------------------------------------------------------------------------------
@@ -556,7 +650,8 @@ def find_equilibria(
     rotations are tabulated over one turn of each tip angle. Every cell of the grid that may contain a solution is
     solved. The grid is refined until the set no longer changes and its topological degree is 1, as theory demands. On
     the centreline the degree is the sum of (-1)^index. Larger groups start from a Sobol sequence, and the degree is the
-    only check.
+    only check. Bundles are searched as robots under load. Where the order of their ends changes, the arm may stand on a
+    ridge of the energy: an unstable equilibrium with a margin of minus infinity.
 
     Args:
         rotations, translations: (n,) rad and m; translations default to home. Rotations are not wrapped.
@@ -567,7 +662,7 @@ def find_equilibria(
 
     Raises:
         InputError: wrong number of joint values, one that is not finite, a tube out of its actuator; a load on an
-            eccentric robot, a bundle.
+            eccentric robot.
         SolveError: the degree of the set is not 1: an equilibrium is missing, or the joint values are a fold.
         TimeLimitError: (a SolveError) the time limit was reached before there was an answer.
 
@@ -579,9 +674,9 @@ def find_equilibria(
         [True, True, False]
     """
     alpha, translation = joint_values(robot, rotations, translations)
-    if not robot.fixed_sections:
-        raise InputError("kind is bundle; not all its equilibria are found, fk finds one, follow leads to others")
     shift = tuple(translation.tolist())
+    if isinstance(robot, BundleRobot):
+        return bundle_equilibria(robot, alpha, shift, load, search)
     result = _without_load(Unloaded.of(robot, alpha, shift), search.most_starts)
     equilibria = [to_equilibrium(point, "search over tip angles") for point in result]
     if load is not None:
