@@ -5,8 +5,8 @@
 Every run draws a truth: stiffnesses, curvatures, heated parts that fade, friction between the tubes and a lag of a
 drive, which all recordings share; latency, zeros of the drives and the tracker's frame, of which each of `--sessions`
 recordings has its own. Each has `--rows` rows with 0.3 mm of noise. All of them are fitted, from the drawing. Printed
-are how often intervals of 95 % hold the truth, the held-out error against that of the fitted robot on a new path, and
-how many coordinates, held out and of the new path, are in their bands of 95 %.
+are how often intervals of 95 % hold the truth, the held-out error and the expected one against that of the fitted robot
+on new paths, and how many coordinates, held out and of the new path, are in their bands of 95 %.
 
 With `--plans` the fitted robot plans a full turn of a tube without and with `--confidence 0.999`. The true robot and
 `--drawn` robots of the posterior follow both plans. Printed are how many snap, and what the confidence costs.
@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 from collections import defaultdict
 from dataclasses import asdict, dataclass, replace
@@ -93,6 +94,12 @@ class Run:
     """Root mean square on new paths."""
     seconds: float
     """Time of the fit, s."""
+    expected: float = math.nan
+    """Root mean square expected on new paths by the posterior."""
+    within: bool | None = None
+    """Whether that of new paths, in the recorded ranges, is in its interval of 95 %."""
+    true_inside: float = math.nan
+    """Root mean square on new paths, in the recorded ranges."""
     plain: Drive | None = None
     sure: Drive | None = None
 
@@ -145,6 +152,9 @@ def run(seed: int, rows: int, sessions: int, drawn: int | None) -> Run:
     posterior = found.robot.posterior
     assert posterior is not None
     assert found.held_out_errors is not None
+    expected = found.new_paths
+    assert expected is not None
+    inside = rms(np.concatenate([each.errors[~each.outside] for each in new]))
     told = found.held_out_errors[-len(truth.recordings[-1]) :]
     out = Run(
         seed,
@@ -154,6 +164,9 @@ def run(seed: int, rows: int, sessions: int, drawn: int | None) -> Run:
         1e3 * rms(told),
         1e3 * rms(np.concatenate([each.errors for each in new])),
         seconds,
+        1e3 * expected.rms,
+        bool(expected.low < inside < expected.high),
+        1e3 * inside,
     )
     if drawn is None:
         return out
@@ -272,12 +285,16 @@ def report(runs: list[Run], drawn: int) -> None:
     rows = [(name, f"{len(each)}", f"{100 * np.mean(each):.0f}") for name, each in holds.items()]
     every = [held for each in holds.values() for held in each]
     ratio = [one.told / one.true for one in runs]
+    expected = [one.expected / one.true_inside for one in runs]
     lines = [
         f"{len(runs)} truths: {len(every)} intervals of 95 %, {100 * np.mean(every):.1f} % hold the truth",
         f"coordinates in their bands of 95 %: {100 * np.mean([one.inside for one in runs]):.1f} % held out, "
         f"{100 * np.mean([one.inside_new for one in runs]):.1f} % of new paths",
         f"held-out error over that on new paths: {np.mean(ratio):.3f} in the mean, {min(ratio):.3f} to "
         f"{max(ratio):.3f}; RMS {np.mean([one.true for one in runs]):.3f} mm",
+        f"error expected on new paths over that in the recorded ranges: {np.nanmean(expected):.3f} in the mean, "
+        f"{np.nanmin(expected):.3f} to {np.nanmax(expected):.3f}; "
+        f"{sum(one.within is True for one in runs)} of {len(runs)} in their intervals of 95 %",
         f"a fit takes {np.median([one.seconds for one in runs]):.1f} s of processor time, "
         f"{max(one.seconds for one in runs):.1f} s at most",
     ]

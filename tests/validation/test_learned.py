@@ -14,7 +14,7 @@ from numpy.polynomial import legendre
 from tubeopt import ConcentricRobot, InputError, Piece, Tube, load_robot, snap_free_certificate
 from tubeopt.robots.calibration import Posterior
 from tubeopt.robots.pieces import at
-from tubeopt.solvers.robust_least_squares import RobustDescent, Weights
+from tubeopt.solvers.robust_least_squares import RobustDescent, Weights, secant
 from tubeopt.validation import FitOptions, Measurements, choose_parameters, fit, real_robots, validate
 from tubeopt.validation.effects import Setup
 from tubeopt.validation.learned import _Likelihood
@@ -148,3 +148,13 @@ def test_numbers_that_are_not_there_are_refused() -> None:
         choose_parameters(ctr(), data, ["learned_curvature_3_1"])
     with pytest.raises(InputError, match="'learned_curvature_1' is not known"):
         choose_parameters(ctr(), data, ["learned_curvature_1"])
+
+
+def test_secants_explain_every_step_and_leave_other_directions() -> None:
+    random = np.random.default_rng(5)
+    slopes, metric = random.normal(size=(6, 3, 4)), np.array([1.0, 4.0, 0.5, 2.0])
+    step, change = random.normal(size=4), random.normal(size=(6, 3))
+    found = secant(slopes, step, change, metric)
+    np.testing.assert_allclose(found @ step, change)
+    across = np.linalg.svd((metric * step)[None])[2][1:]  # orthogonal to the step in the metric
+    np.testing.assert_allclose(found @ across.T, slopes @ across.T)

@@ -20,7 +20,7 @@ from tubeopt.files.yaml_file import to_yaml
 from tubeopt.robots.calibration import Posterior
 from tubeopt.runs.plan_study import Required, load_plan_study, of_real_robot
 from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty, validate
-from tubeopt.validation.certainty import certificate_bounds
+from tubeopt.validation.certainty import certificate_bounds, expected_error
 from tubeopt.validation.effects import Setup
 from tubeopt.validation.measurements import Timeline
 from tubeopt.validation.model import solve_poses
@@ -295,3 +295,24 @@ def test_correlations_that_are_none_are_refused(table: tuple[tuple[float, ...], 
     assert two is not None
     with pytest.raises(InputError, match="correlations must be"):
         replace(two, correlations=table)
+
+
+def test_the_error_of_new_paths_is_that_of_drawn_robots() -> None:
+    """Against real robots drawn from the posterior, at joint values of other paths through the same ranges."""
+    given = uncertain(["curvature_1", "rotation_2"], ["1/m", "rad"], [0.4, 0.05], 0.2 * MM)
+    random = np.random.default_rng(4)
+    rotations, translations = random.uniform(-0.6, 0.6, (200, 2)), np.tile([-10 * MM, -12 * MM], (200, 1))
+    found, reals = expected_error(given, rotations, translations), real_robots(given)
+    assert found is not None
+    assert reals is not None
+    squares = []
+    for row in range(12):
+        joints = rotations[row], translations[row]
+        tip = forward_kinematics(given, *joints).tip_position
+        drawn = [forward_kinematics(*reals.at(z, *joints)).tip_position for z in random.normal(size=(60, reals.size))]
+        squares.append(((np.array(drawn) - tip) ** 2).sum(1).mean())
+    rest = 3 * ((0.2 * MM) ** 2 + NOISE**2)
+    assert found.rms == pytest.approx(np.sqrt(np.mean(squares) + rest), rel=0.12)
+    assert found.low < found.rms < found.high
+    assert found.low > np.sqrt(rest)
+    assert expected_error(replace(given, posterior=None), rotations, translations) is None

@@ -199,6 +199,10 @@ FIT_ERRORS: tuple[Quantity[Fit], ...] = (
     Quantity("held_out_recordings", "errors of recordings, common parameters fitted to the others",
              lambda f: [_summary(s, f.after.length) for s in f.by_recording] or None, label="held-out recordings",
              text=lambda f: ", ".join(f"RMS {s.rms * TO_MM:.2f} mm" for s in f.by_recording) or None),
+    Quantity("new_paths", "RMS error expected on new paths in the recorded ranges, and its 95 % interval",
+             lambda f: None if f.new_paths is None else with_unit("mm", vars(f.new_paths)),
+             label="expected on new paths", text=lambda f: None if f.new_paths is None else
+             "RMS {:.2f} mm, 95 % {:.2f} to {:.2f} mm".format(*(x * TO_MM for x in vars(f.new_paths).values()))),
 )  # fmt: skip
 
 FIT = described(

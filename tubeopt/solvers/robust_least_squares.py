@@ -176,6 +176,7 @@ def descend(
     *,
     jacobian: Array | None = None,
     first: Array | None = None,
+    secants: bool = False,
     solver: LeastSquaresSolver = DEFAULT_SOLVER,
 ) -> RobustDescent[P]:
     """Minimum of the cost near a start with a prediction for every observation.
@@ -184,6 +185,7 @@ def descend(
         jacobian: derivatives for all steps, if the start is close to the solution. None computes them at every state;
             if they are costly, at states where older ones no longer serve, and at the last.
         first: derivatives at the start, if known.
+        secants: whether costly derivatives follow the steps, which suits smooth models, not those with kinks.
         solver: settings.
     """
     bounds = model.bounds
@@ -215,7 +217,7 @@ def descend(
                 trial_cost, obstacle = np.inf, str(error).splitlines()[0]
             accepted = trial_cost <= cost
             if accepted:
-                if costly and jacobian is None:
+                if secants and costly and jacobian is None:
                     slopes = secant(slopes, step, trial_residuals - residuals, np.diag(square))
                 # The lower limit keeps a later rise within ten steps.
                 state, residuals, cost, damping = trial, trial_residuals, trial_cost, max(damping / 10, 1e-9)

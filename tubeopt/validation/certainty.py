@@ -303,6 +303,50 @@ def tip_radii(equilibrium: Equilibrium, probabilities: Sequence[float] = PROBABI
     return _radii(_covariance(slopes, e.robot.posterior), probabilities)
 
 
+@dataclass(frozen=True)
+class ExpectedError:
+    """Root mean square distance of measured from predicted tips that is expected on new paths, m."""
+
+    rms: float
+    """Expected value."""
+    low: float
+    """Lower end of the interval of 95 %, by how far the parameters of one fit may be off."""
+    high: float
+    """Upper end of the interval."""
+
+
+# Configurations of new paths at which real robots are solved.
+NEW_ROWS = 24
+
+
+def expected_error(robot: Robot, rotations: Array, translations: Array) -> ExpectedError | None:
+    """Error expected on new paths in the session of a calibration, in the ranges of readings (N, n) of its recordings.
+
+    Every rotation and the translations of one row are drawn independently, as paths of other phases combine them. What
+    depends on history counts as misfit. None without a posterior, or without an equilibrium there.
+    """
+    reals, posterior = real_robots(robot), robot.posterior
+    if reals is None or posterior is None:
+        return None
+    random, calibration = np.random.default_rng(0), robot.calibration or Calibration.none(robot.n_tubes)
+    mixed = np.column_stack([random.permutation(column) for column in rotations.T])
+    slopes = []
+    for alpha, shift in list(zip(mixed, random.permutation(translations), strict=True))[:NEW_ROWS]:
+        joints = calibration.to_model(alpha, shift)
+        try:
+            slopes.append(reals.slopes(forward_kinematics(robot, *joints), np.zeros(reals.size), joints).tip)
+        except (InputError, SolveError):  # the robot cannot be there
+            continue
+    if not slopes:
+        return None
+    # The mean square is a sum of squares of independent normal numbers: nearly a gamma variable with its moments.
+    parts = np.maximum(np.linalg.eigvalsh(np.einsum("vak,vaj->kj", slopes, slopes) / len(slopes)), 0.0)
+    mean, variance, rest = parts.sum(), 2 * (parts**2).sum(), 3 * (posterior.misfit**2 + posterior.noise**2)
+    shape = mean**2 / max(variance, 1e-300)
+    low, high = scipy.special.gammaincinv(shape, [0.025, 0.975]) * mean / shape if shape > 0 else (0.0, 0.0)
+    return ExpectedError(*(float(np.sqrt(square + rest)) for square in (mean, low, high)))
+
+
 def check_probabilities(probabilities: Sequence[float]) -> None:
     """Raise InputError for a probability that is not between 0.5 and 1."""
     for p in probabilities:

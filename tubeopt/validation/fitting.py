@@ -38,6 +38,7 @@ from ..solvers.robust_least_squares import (
 )
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress, StatusEnum
+from .certainty import ExpectedError, expected_error
 from .comparison import (
     ErrorSummary,
     Validation,
@@ -297,6 +298,12 @@ class Fit(Displayed):
         """Summary of the held-out errors."""
         return None if self.held_out_errors is None else ErrorSummary.of(self.held_out_errors)
 
+    @cached_property
+    def new_paths(self) -> ExpectedError | None:
+        """Error expected on new paths in the recorded ranges, by the posterior; None without one."""
+        m = self.after.measurements
+        return expected_error(self.robot, m.rotations, m.translations)
+
     @property
     def by_recording(self) -> tuple[ErrorSummary, ...]:
         """Summaries of the held-out errors of each of several recordings; empty for one."""
@@ -432,7 +439,8 @@ class FitProblem:
         random = any(p.effect.random for p in self.model.parameters)
         priors = self.options.priors or random
         solver = LEARNING if random else FITTING
-        descent = descend(self.model, self.weights(), start, first=slopes, solver=ROUGH if random else solver)
+        rough = ROUGH if random else solver
+        descent = descend(self.model, self.weights(), start, first=slopes, secants=random, solver=rough)
         for _ in range(NOISE_ROUNDS):
             last, self.sigma = self.sigma, self._noise(descent)
             alike = np.allclose(self.sigma, last, rtol=SAME_NOISE, atol=0)
@@ -442,7 +450,8 @@ class FitProblem:
                 alike = alike and np.allclose(self.weights().prior, before, rtol=SAME_PRIOR)
             if alike or not (self.model.directed.any() or self.options.loss != "linear" or priors):
                 break
-            descent = descend(self.model, self.weights(), descent.state, first=descent.jacobian, solver=solver)
+            first, state = descent.jacobian, descent.state
+            descent = descend(self.model, self.weights(), state, first=first, secants=random, solver=solver)
         return self._registered(descent)
 
     def _registered(
