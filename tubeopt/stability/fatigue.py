@@ -64,7 +64,7 @@ class Endurance(StatusEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class StrainLife:
+class StrainLife(Displayed):
     """Curve of strain amplitude over cycles to failure, of K points.
 
     Raises:
