@@ -249,6 +249,17 @@ def test_search_leads_from_a_local_minimum_to_the_closest_pose(kind: str) -> Non
     assert np.abs(np.diff(q, axis=0))[:, :3].max() <= 3.0 * dt * (1 + ROUNDING)
 
 
+def test_scouts_turn_in_the_other_direction_at_the_end_of_a_range() -> None:
+    """The closest pose is behind the end of the range of a tube, and by a whole turn less within it."""
+    start, target = ([-2 * np.pi, -0.938, -0.6], [0.05, 0.0, -0.05]), (-0.1273, -0.1932, 0.1394)
+    servo = made("c", THESIS, start, speed=0.5, shift_rate=0.5, **ACCELERATIONS)
+    steps, rest = led_to_closest(servo, target, 1e-2)
+    assert rest == pytest.approx(0.096, abs=1e-4)
+    found = inverse_kinematics(THESIS, target, min_margin=0.1, on_failure="closest")
+    assert steps[-1].distance == pytest.approx(found.position_error, abs=1e-6)
+    assert steps[-1].rotations[0] > -np.pi
+
+
 @pytest.mark.usefixtures("one_trial")
 @pytest.mark.parametrize("kind", ["python", "c"])
 def test_robot_stays_where_no_scout_comes_closer(kind: str) -> None:

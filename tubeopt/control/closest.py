@@ -176,9 +176,8 @@ class ClosestSearch:
             self._round = self._round + 1 if self._best_path else ROUNDS
             self._still = 0
             return
-        here, n = self._joints(self._rest), self._space.robot.n_tubes
-        start = self._starts[self._trial].copy()
-        start[:n] = here[:n] + (start[:n] - here[:n] + np.pi) % (2 * np.pi) - np.pi
+        # At the end of a range the nearest turn may be outside: then the start is a whole turn away.
+        start = self._space.wrap(self._starts[self._trial], self._joints(self._rest))
         self._start = self._space.clip(start)
         self._trial += 1
         self._recall(Stage.OUT)

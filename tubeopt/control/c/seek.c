@@ -58,7 +58,11 @@ static void send_scout(tubeopt_memory *m, Seeker *s) {
     independent(&m->joints, q);
     for (int k = 0; k < JOINTS; k++) {
         start[k] = STARTS[s->trial * JOINTS + k];
-        if (k < N) start[k] = fmin(fmax(q[k] + remainder(start[k] - q[k], WHOLE_TURN), LOWER[k]), UPPER[k]);
+        if (k >= N) continue;
+        start[k] = q[k] + remainder(start[k] - q[k], WHOLE_TURN);
+        if (start[k] < LOWER[k]) start[k] += WHOLE_TURN; /* the nearest turn is outside of the range */
+        if (start[k] > UPPER[k]) start[k] -= WHOLE_TURN;
+        start[k] = fmin(fmax(start[k], LOWER[k]), UPPER[k]);
     }
     dependent(start, &s->start);
     s->trial++;
