@@ -9,7 +9,7 @@ import sys
 import warnings as python_warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import typer
 from rich.console import Console
@@ -120,13 +120,23 @@ ABSENT = re.compile(r"(\w+)(?: and (\w+))?(?= (?:is|are) (?:both )?(?:missing|gi
 """Start of a message about one or two missing or superfluous keys."""
 
 
-def failure(error: Exception) -> tuple[str, int, str] | None:
-    """Message, exit code and kind of an error; None for an unexpected one."""
+class Failure(NamedTuple):
+    """Error as the command line reports it."""
+
+    message: str
+    code: int
+    """Exit code."""
+    kind: str
+    """Kind in JSON."""
+
+
+def failure(error: Exception) -> Failure | None:
+    """Report of an error; None for an unexpected one."""
     for kind, (code, name) in CODES.items():
         if isinstance(error, kind):
             # The library reports in m and rad; commands read mm and deg. Every time limit of theirs has this flag.
             text = str(error).replace("increase time_limit", "increase --time-limit-s")
-            return "\n".join(map(in_input_units, text.splitlines())), code, name
+            return Failure("\n".join(map(in_input_units, text.splitlines())), code, name)
     # Errors of Typer about arguments: their class has no public name.
     message, context = getattr(error, "format_message", None), getattr(error, "ctx", None)
     if message is None:
@@ -134,7 +144,7 @@ def failure(error: Exception) -> tuple[str, int, str] | None:
     text = _usage_message(error) or message().rstrip(".")
     if text and context is not None:  # without a message the help itself was shown
         text += f"{'' if text.endswith('?') else ';'} see {context.command_path} --help"
-    return text, BAD_INPUT, "usage"
+    return Failure(text, BAD_INPUT, "usage")
 
 
 def _usage_message(error: Any) -> str:

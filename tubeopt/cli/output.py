@@ -205,7 +205,7 @@ def _print_json(answer: Report[Any], files: list[Path], ending: Exception | None
     if known is not None:
         record["error"] = error_record(*known)
         # The object on stdout has the message: stderr stays empty for programs.
-        ending = typer.Exit(known[1])
+        ending = typer.Exit(known.code)
     print(to_text(record), end="")
     return ending
 

@@ -364,6 +364,23 @@ class Task(NamedTuple):
     parts: tuple[Part, ...] = ()
 
 
+class _Trial(NamedTuple):
+    """Part of a step that the guard tried."""
+
+    made: Array
+    """(m,) step, over the scales; joints that it leaves alone have their last one."""
+    whole: bool
+    """True for the step without reduction."""
+    descends: bool
+    """True if the distance becomes so much shorter that the step is taken."""
+    grows: bool
+    """True if the step asks for more damping: it does not descend, or it turns back."""
+    slow: bool
+    """True if the distance decreases much less than far from its target."""
+    curvature: float | None
+    """Curvature of half the squared distance that Gauss-Newton leaves out; None for too short a step."""
+
+
 class Constraints(NamedTuple):
     """Linear constraints rows @ step >= bounds on a step of the joints over their scales."""
 
@@ -557,14 +574,14 @@ class Servo:
         portion, scale, last = 1.0, self.space.scale, self._last
         if self._damping:
             step = np.where(np.abs(step) < DEAD, 0.0, step)  # a joint at its place does not tremble while others move
-            portion = min([1.0, *(_allowed(part.max_step, part.rows @ (step * scale)) for part in parts)])
+            portion = min([1.0, *(_fraction(part.max_step, part.rows @ (step * scale)) for part in parts)])
             ends = np.where(step > 0, limits[1], limits[0]) / scale
             portion = min(portion, float(np.divide(ends, step, out=np.ones_like(step), where=step != 0).min()))
             portion = max(portion, 0.0)
         reverses = step * last < 0
         self._stiff = np.where(reverses, np.minimum(4 * self._stiff, MOST_STIFF), np.maximum(1.0, self._stiff / 1.2))
         turned, size = float(step @ last), float(np.abs(step).max())
-        fraction = min([1.0, *(_allowed(part.max_step, part.error) for part in parts)])
+        fraction = min([1.0, *(_fraction(part.max_step, part.error) for part in parts)])
         far, rated = not self._damping and fraction < 1, Why.RATE in why
         if self._damping:
             back = turned < -0.5 * float(np.linalg.norm(step) * np.linalg.norm(last))
@@ -579,33 +596,48 @@ class Servo:
         if (self._damping and with_error and before - whole < GAIN * before**0.5) or portion * size < DEAD**2:
             return self.guard.go(0 * step, why & ~Why.RATE, dt)
 
+        trials: list[_Trial] = []
+
         def closer(posture: Posture, part_of: float) -> bool:
             made = portion * part_of * step
             model = sum(_square(part.error - part.rows @ (made * scale)) for part in with_error)
             after = sum(_square(self._error(part.name, part.target, posture)) for part in with_error)
             square = float(made @ made)
             seen = square > SEEN**2
-            curved = min((after - model) / square, MOST_CURVED) if seen else 0.0
             descends = model >= before or before < DEAD**2 or before - after >= DESCENT * (before - model)
-            grows = not descends or back
-            slow = far and not rated and before - after < SLOW * fraction * before
-            if grows or slow or (self._damping and curved > self._damping):
-                self._damping = max(curved, min(4 * self._damping * grows, MOST_CURVED), DAMPING**2)
-            elif self._damping and portion * part_of == 1 and seen:
-                self._damping = max(curved, self._damping / 2) if self._damping > 2 * DAMPING**2 else 0.0
-            if descends and self._damping and portion * part_of < 1:  # far from rest: perhaps it does without again
-                self._damped += 1
-                if self._damped >= self._patience:
-                    self._damping, self._damped, self._patience = 0.0, 0, 2 * self._patience
-            if descends:
-                self._ease = min(1.0, (0.5 if turned < 0 else 1.2) * self._ease)
-                self._last = np.where(step == 0, last, made)
+            trials.append(
+                _Trial(
+                    made=np.where(step == 0, last, made),
+                    whole=portion * part_of == 1,
+                    descends=descends,
+                    grows=not descends or back,
+                    slow=far and not rated and before - after < SLOW * fraction * before,
+                    curvature=min((after - model) / square, MOST_CURVED) if seen else None,
+                )
+            )
             return descends
 
         arm, why = self.guard.go(portion * step * scale, why, dt, closer)
+        for trial in trials:
+            self._adapt(trial, turns_back=turned < 0)
         if Why.HELD in why:
             self._damping = 0.0  # another direction may pass
         return arm, why
+
+    def _adapt(self, trial: _Trial, *, turns_back: bool) -> None:
+        """Change the damping, the ease of the objective and the last step after a trial of a step."""
+        curved = 0.0 if trial.curvature is None else trial.curvature
+        if trial.grows or trial.slow or (self._damping and curved > self._damping):
+            self._damping = max(curved, min(4 * self._damping * trial.grows, MOST_CURVED), DAMPING**2)
+        elif self._damping and trial.whole and trial.curvature is not None:
+            self._damping = max(curved, self._damping / 2) if self._damping > 2 * DAMPING**2 else 0.0
+        if trial.descends and self._damping and not trial.whole:  # far from rest: perhaps it does without again
+            self._damped += 1
+            if self._damped >= self._patience:
+                self._damping, self._damped, self._patience = 0.0, 0, 2 * self._patience
+        if trial.descends:
+            self._ease = min(1.0, (0.5 if turns_back else 1.2) * self._ease)
+            self._last = trial.made
 
     def _constraints(self, current: Posture, low: Array, high: Array) -> Constraints:
         """Constraints of a step: rates and ranges, order, margin, bodies. Those violated already must not get worse."""
@@ -709,7 +741,7 @@ class Servo:
         parts = [self._part(name, target, at, dt) for name in group if (target := getattr(command, name)) is not None]
         if not parts:
             return None
-        factors = [1.0 if self._damping else _allowed(part.max_step, part.error) for part in parts]
+        factors = [1.0 if self._damping else _fraction(part.max_step, part.error) for part in parts]
         targets = [factor * part.error for factor, part in zip(factors, parts, strict=True)]
         matrix = np.concatenate([part.rows * self.space.scale for part in parts])
         return Task(matrix, np.concatenate(targets), True, tuple(parts))
@@ -744,7 +776,7 @@ class Servo:
         length, speed = self.space.length, self.options.speed * dt / self.space.length
         met = MET / length
         if name == "velocity":
-            error = _at_most(self.options.speed, target) * (dt / length)
+            error = _shortened(self.options.speed, target) * (dt / length)
             return Part(name, target, at.jacobian.tip / length, error, np.inf, np.inf)
         error = self._error(name, target, at)
         if name == "position":
@@ -784,18 +816,18 @@ class Servo:
         return pull * min(1.0, longest / size) if name == "centre" and size else pull * (longest / max(size, 1e-300))
 
 
-def _allowed(most: float, motion: Array) -> float:
-    """Motion, shortened to a length of at most `most`."""
-    return min(most / max(hypot(*motion.tolist()), 1e-300), 1.0)
+def _fraction(length: float, vector: Array) -> float:
+    """Fraction of a vector, at most 1, that is no longer than a length."""
+    return min(length / max(hypot(*vector.tolist()), 1e-300), 1.0)
 
 
 def _square(vector: Array) -> float:
     return float(vector @ vector)
 
 
-def _at_most(length: float, vector: Array) -> Array:
+def _shortened(length: float, vector: Array) -> Array:
     """Vector, shortened to a length if it is longer."""
-    return vector * min(length / max(hypot(*vector.tolist()), 1e-300), 1.0)
+    return vector * _fraction(length, vector)
 
 
 def _softness(at: Posture, fraction: float = 1e-4) -> Array:

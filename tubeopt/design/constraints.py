@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -83,7 +83,16 @@ class Statement:
 
 Poses = tuple[int, ...]
 Points = Sequence[tuple[float, ...]]
-Stated = Iterator[tuple[Limit, Function, Function | None]]
+
+
+class Stated(NamedTuple):
+    """Limit of a requirement as functions of the quantities of a design."""
+
+    limit: Limit
+    remaining: Function
+    """Distances to the limit, at least 0 where it is kept."""
+    vector: Function | None = None
+    """Vectors whose length is limited; None for other limits."""
 
 
 def statements(
@@ -108,7 +117,7 @@ def statements(
     )
 
 
-def _stated(requirement: Requirement, robot: Robot, poses: Poses, points: Points) -> Stated:
+def _stated(requirement: Requirement, robot: Robot, poses: Poses, points: Points) -> Iterator[Stated]:
     """Limits of requirements on tubes alone: each with the distance to it, and the vector if its length is limited."""
     match requirement:
         case CustomRequirement():
@@ -122,10 +131,10 @@ def _stated(requirement: Requirement, robot: Robot, poses: Poses, points: Points
                 size=requirement.size,
                 movable=movable,
             )
-            yield limit, requirement.expression, None
+            yield Stated(limit, requirement.expression)
         case SnapFree(required_margin=lower):
             limit = Limit("certified margin", lower, is_upper_bound=False, unit="", factor=1.0, size=0.1)
-            yield limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - lower, None
+            yield Stated(limit, lambda q: ca.vertcat(*(q.certificate(row) for row in points)) - lower)
             if isinstance(robot, BundleRobot) and robot.n_tubes > 1:
                 # Their ends must keep their order, or the number proves nothing.
                 limit = Limit(
@@ -137,25 +146,25 @@ def _stated(requirement: Requirement, robot: Robot, poses: Poses, points: Points
                     size=1e-3,
                     movable=False,
                 )
-                yield limit, lambda q: ca.vertcat(*(q.order_reserve(row) for row in points)) - ORDER_RESERVE, None
+                yield Stated(limit, lambda q: ca.vertcat(*(q.order_reserve(row) for row in points)) - ORDER_RESERVE)
         case Nesting(clearance=lower) if robot.nested_pairs:
             inner, outer = (list(tubes) for tubes in zip(*robot.nested_pairs, strict=True))
             limit = Limit("clearance of the diameters", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-4)
-            yield limit, lambda q: q.tubes["inner_diameter"][outer] - q.tubes["outer_diameter"][inner] - lower, None
+            yield Stated(limit, lambda q: q.tubes["inner_diameter"][outer] - q.tubes["outer_diameter"][inner] - lower)
         case Channel(diameter=lower):
             limit = Limit("channel between the tubes", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-4)
-            yield limit, lambda q: q.channel - lower, None
+            yield Stated(limit, lambda q: q.channel - lower)
         case Bore(diameter=lower):
             around = {outer for _, outer in robot.nested_pairs}
             innermost = [i for i in range(robot.n_tubes) if i not in around]
             limit = Limit("bore of the innermost tubes", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-4)
-            yield limit, lambda q: q.tubes["inner_diameter"][innermost] - lower, None
+            yield Stated(limit, lambda q: q.tubes["inner_diameter"][innermost] - lower)
         case Girth(limit=upper):
             limit = Limit("diameter of the sheath", upper, is_upper_bound=True, unit="mm", factor=1e3, size=1e-4)
-            yield limit, lambda q: upper - q.sheath_diameter, None
+            yield Stated(limit, lambda q: upper - q.sheath_diameter)
         case Wall(thickness=lower):
             limit = Limit("wall thickness", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-4)
-            yield limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - lower, None
+            yield Stated(limit, lambda q: (q.tubes["outer_diameter"] - q.tubes["inner_diameter"]) / 2 - lower)
         case Length(field=field, tube=i):
             sign, overall = 1.0 if requirement.least else -1.0, field == "length"
             name = f"{'overall length' if overall else field.replace('_', ' ')} of tube {i + 1}"
@@ -163,35 +172,34 @@ def _stated(requirement: Requirement, robot: Robot, poses: Poses, points: Points
             limit = Limit(
                 name, requirement.limit, is_upper_bound=not requirement.least, unit="mm", factor=1e3, size=1e-2
             )
-            yield limit, lambda q: sign * (sum(q.tubes[part][i] for part in parts) - limit.value), None
+            yield Stated(limit, lambda q: sign * (sum(q.tubes[part][i] for part in parts) - limit.value))
         case _:
             yield from _stated_of_poses(requirement, poses, points)
 
 
-def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> Stated:
+def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> Iterator[Stated]:
     """Limits of requirements on poses: each with the distance to it, and the vector if its length is limited."""
     match requirement:
         case SnapFreeInUse(margin=lower) if poses:
             limit = Limit("margin in use", lower, is_upper_bound=False, unit="", factor=1.0, size=0.1)
-            yield limit, lambda q: ca.vertcat(*(e.margin for e in arms(q, poses, requirement.deployed))) - lower, None
+            yield Stated(limit, lambda q: ca.vertcat(*(e.margin for e in arms(q, poses, requirement.deployed))) - lower)
         case Strain(limits=limits):
             posed = poses if requirement.in_poses else ()
             for i, upper in enumerate(limits if requirement.straightened or posed else ()):
                 limit = Limit(f"strain of tube {i + 1}", upper, is_upper_bound=True, unit="%", factor=1e2, size=1e-3)
-                yield limit, partial(_remaining_strain, requirement, posed, i), None
+                yield Stated(limit, partial(_remaining_strain, requirement, posed, i))
         case Avoid(clearance=lower) if poses:
             limit = Limit("clearance of the obstacles", lower, is_upper_bound=False, unit="mm", factor=1e3, size=1e-3)
-            yield (
+            yield Stated(
                 limit,
                 lambda q: ca.vertcat(*(e.clearance(requirement) for e in arms(q, poses, requirement.deployed))) - lower,
-                None,
             )
         case Stroke(limit=upper) if len(poses) > 1:
             limit = Limit("stroke of a carriage", upper, is_upper_bound=True, unit="mm", factor=1e3, size=1e-2)
-            yield limit, partial(_remaining_stroke, upper, poses), None
+            yield Stated(limit, partial(_remaining_stroke, upper, poses))
         case StrokeForce(limit=lower):
             limit = Limit("stroke force", lower, is_upper_bound=False, unit="mN", factor=1e3, size=1e-2)
-            yield limit, lambda q: ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - lower, None
+            yield Stated(limit, lambda q: ca.vertcat(*(q.poses[k].stroke_force for k in poses)) - lower)
         case Reach(targets=targets):
             for k, (pose, target) in enumerate(zip(poses, targets, strict=True), start=1):
                 limit = Limit(
@@ -203,7 +211,7 @@ def _stated_of_poses(requirement: Requirement, poses: Poses, points: Points) -> 
                     limit = Limit(
                         name, upper, is_upper_bound=True, unit="deg", factor=180 / np.pi, size=np.radians(5.0)
                     )
-                    yield limit, partial(_along, limit, pose, target.direction), None
+                    yield Stated(limit, partial(_along, limit, pose, target.direction))
         case Coverage(tolerance=upper):
             limit = Limit(
                 "tolerance of the workspace box", upper, is_upper_bound=True, unit="mm", factor=1e3, size=1e-3
@@ -271,7 +279,7 @@ def relaxed(requirement: Requirement, part: int, amount: float) -> Requirement:
     return replace(requirement, **{field: max(0.0, moved) if isinstance(requirement, Nesting) else moved})
 
 
-def _near(limit: Limit, poses: Poses, points: Points) -> tuple[Limit, Function, Function]:
+def _near(limit: Limit, poses: Poses, points: Points) -> Stated:
     """Limit on the distances of pose tips from points: excess of the limit, and vectors from the points."""
 
     def offsets(q: Quantities) -> Any:
@@ -283,7 +291,7 @@ def _near(limit: Limit, poses: Poses, points: Points) -> tuple[Limit, Function, 
         distance = ca.sqrt(ca.sum1(ca.reshape(offsets(q), 3, len(poses)) ** 2) + soft**2)
         return np.sqrt(limit.value**2 + soft**2) - distance.T
 
-    return limit, remaining, offsets
+    return Stated(limit, remaining, offsets)
 
 
 def _along(limit: Limit, pose: int, direction: tuple[float, ...], q: Quantities) -> Any:

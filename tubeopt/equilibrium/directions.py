@@ -500,7 +500,7 @@ class Directions:
         return float(_held(self.assembly, self.side)[i])
 
     @property
-    def _passing(self) -> tuple[Array, ...]:
+    def _passing(self) -> TubeRates:
         return passing(self.arm.problem)
 
     # --- what a change of pieces needs to know ------------------------------------------------------------------------
@@ -542,9 +542,21 @@ def _held(assembly: Assembly, side: int) -> Array:
     return np.asarray(1 / table.values(at, at - side * LENGTH_ROUND_OFF)[1, 0])
 
 
+class TubeRates(NamedTuple):
+    """(P, K, n) rates along tubes made of pieces, per m of their own arc length, at the points."""
+
+    phase: Array
+    bending: Array
+    """Of kb."""
+    moment: Array
+    """Of m."""
+    compliance: Array
+    """Of 1 / kt."""
+
+
 @lru_cache(maxsize=64)
-def passing(problem: ReducedProblem) -> tuple[Array, ...]:
-    """(P, K, n) rates of phase, kb, m and 1 / kt along tubes made of pieces, at the points."""
+def passing(problem: ReducedProblem) -> TubeRates:
+    """Rates at which the tubes made of pieces change past a point."""
     table, mesh, shape = problem.assembly.lengthwise, problem.mesh, problem.compliant.rate.shape
     assert table is not None
     nodes = mesh.tableau.nodes
@@ -557,4 +569,4 @@ def passing(problem: ReducedProblem) -> tuple[Array, ...]:
     present, size = problem.compliant.sections.stiffness.reshape(shape) > 0, np.hypot(x, y)
     solid = np.where(size > 0, size, 1.0)
     turning, growing = (x * dy - y * dx) / solid**2, (x * dx + y * dy) / solid
-    return z + turning, dkb * present, (dkb * size + kb * growing) * present, -dkt / kt**2
+    return TubeRates(z + turning, dkb * present, (dkb * size + kb * growing) * present, -dkt / kt**2)

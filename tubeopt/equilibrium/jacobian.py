@@ -110,12 +110,22 @@ def compiled_motion(at: Equilibrium, turn: float, slide: float, *, most: float, 
     return None if known is None else motion_compiled(*known, Reach(turn, slide), most=most, precision=precision)
 
 
-def _known_to_kernel(at: Equilibrium) -> tuple[Robot, Array, Array, Start, int] | None:
-    """Robot, joint values, shape and refinement of an equilibrium; None if the kernel has another mesh."""
+class _KnownPose(NamedTuple):
+    """Equilibrium as the kernel takes it."""
+
+    robot: Robot
+    rotations: Array
+    translations: Array
+    start: Start
+    refinement: int
+
+
+def _known_to_kernel(at: Equilibrium) -> _KnownPose | None:
+    """Pose of an equilibrium for the kernel; None if the kernel has another mesh."""
     mesh = discretisation_of(at)
     if len(at.arc_length) < 2 or replace(mesh, refinement=0) != DEFAULT_DISCRETISATION:
         return None
-    return at.robot, at.rotations, at.translations, _start_at(at), mesh.refinement
+    return _KnownPose(at.robot, at.rotations, at.translations, _start_at(at), mesh.refinement)
 
 
 def _by_kernel(

@@ -63,6 +63,17 @@ SINGLE = ("sheath", "rigid_length", "rigid_from")
 """Quantities of `Bundle` that are one number."""
 
 
+class _EnergyChanges(NamedTuple):
+    """Derivatives of the energy at N points by 5 n + 1 data of a cross-section."""
+
+    first: Array
+    """(N, 5 n + 1) gradient."""
+    mixed: Array
+    """(N, 2 n + 3, 5 n + 1) derivatives of `by_local` by the data."""
+    third: Array
+    """(N, 2 n + 3) third derivatives along two directions."""
+
+
 class TubeAlongArm(NamedTuple):
     """A tube in E elements of an arm, at ENDS (x,) of each, with changes at fixed fractions of the elements."""
 
@@ -230,7 +241,7 @@ class LinearisedBundle:
         first, mixed, _ = self._changes(np.zeros(self._local.shape[:2]), np.zeros(self._local.shape[:2]))
         return first, mixed
 
-    def _changes(self, left: Array, right: Array) -> tuple[Array, Array, Array]:
+    def _changes(self, left: Array, right: Array) -> _EnergyChanges:
         """Results of `bundle_energy_changes` at the points, for directions (N, 2 n + 3)."""
         state, problem = self.state, self.state.problem
         count, n = state.theta.shape
@@ -238,7 +249,7 @@ class LinearisedBundle:
         outputs = mapped(bundle_energy_changes(n), count)(local, *problem.inputs, left, right)
         first, mixed, third = (part.copy() for part in outputs)
         # CasADi stores (5 n + 1, 2 n + 3) by columns.
-        return first, mixed.reshape(count, 2 * n + 3, 5 * n + 1), third
+        return _EnergyChanges(first, mixed.reshape(count, 2 * n + 3, 5 * n + 1), third)
 
     @cached_property
     def x(self) -> Array:
@@ -466,7 +477,7 @@ class LinearisedBundle:
     def _elastic_change(self, left: Array, right: Array) -> Array:
         """Change (Q,) of the second variation of the elastic energy for two directions (U,)."""
         problem, n = self.state.problem, self.state.problem.n
-        by_point = problem.weight[:, None] * self._changes(problem.push(left), problem.push(right))[2]
+        by_point = problem.weight[:, None] * self._changes(problem.push(left), problem.push(right)).third
         out = np.tensordot(by_point[:, : 2 * n + 3], self.changes, 2)
         out += np.tensordot(by_point[:, 2 * n + 3 :], self._data, 2)
         for one, other in ((left, right), (right, left)) if self._moves_axes else ():

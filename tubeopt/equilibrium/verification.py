@@ -237,6 +237,31 @@ class _Arms:
         return out
 
 
+class _TubesAt(NamedTuple):
+    """Tubes (B, n) of B arms at an arc length."""
+
+    bending: Array
+    """kb, N m^2."""
+    torsional: Array
+    """kt, N m^2."""
+    precurvature: Array
+    """u*_x + j u*_y, 1/m."""
+    twist: Array
+    """u*_z, 1/m."""
+
+
+class _SlidingTubes(NamedTuple):
+    """Tubes (n,) of a bundle."""
+
+    bending: Array
+    """kb, N m^2."""
+    torsional: Array
+    """kt, N m^2."""
+    curvature: Array
+    mass: Array
+    """Mass per length, kg/m."""
+
+
 class _Curvature(NamedTuple):
     """Curvature of B cross-sections, with complex numbers for the plane of the Bishop frame."""
 
@@ -263,7 +288,7 @@ class _Section:
     stop: Array
     mass: Array
     parts: list[list[tuple[float, tuple[Quantity, ...]] | None]]
-    everywhere: tuple[Array, ...] | None = None
+    everywhere: _TubesAt | None = None
 
     @cached_property
     def present(self) -> Mask:
@@ -279,8 +304,8 @@ class _Section:
         """(B,) arc lengths at a fraction of the section, m."""
         return self.start + x * (self.stop - self.start)
 
-    def tubes(self, x: float) -> tuple[Array, ...]:
-        """Stiffnesses kb and kt, and precurvatures u*_x + j u*_y and u*_z, (B, n) each.
+    def tubes(self, x: float) -> _TubesAt:
+        """Tubes of all arms.
 
         Where a tube has ended, kt is 1 and the others are 0.
         """
@@ -292,9 +317,9 @@ class _Section:
             for row, s in zip(self.parts, self.arc_lengths(x).tolist(), strict=True)
         ]
         kb, kt, bend, bend_y, twist = np.moveaxis(np.array(table), 2, 0)
-        return kb, kt, bend + 1j * bend_y, twist
+        return _TubesAt(kb, kt, bend + 1j * bend_y, twist)
 
-    def curvature(self, tubes: tuple[Array, ...], state: Array) -> _Curvature:
+    def curvature(self, tubes: _TubesAt, state: Array) -> _Curvature:
         """Curvature by fixed-point iteration on u sum kb / g(u) = m + sum kb u* e^(j theta)."""
         kb, _, u_star, _ = tubes
         moments = kb * u_star * np.exp(1j * state[:, : kb.shape[1]])
@@ -406,12 +431,12 @@ class _Channels:
         return _Channels(equilibrium, load, tuple(state.problem.order), length_forces(state))
 
     @cached_property
-    def tubes(self) -> tuple[Array, ...]:
-        """(n,) kb, kt, curvature and mass per length."""
+    def tubes(self) -> _SlidingTubes:
+        """Tubes of the robot."""
         robot = self.equilibrium.robot
         names = ("bending_stiffness", "torsional_stiffness", "curvature")
         kb, kt, curved = (np.array([float(getattr(tube, name)) for tube in robot.tubes]) for name in names)
-        return kb, kt, curved, np.asarray(masses(robot.tubes, self.load))
+        return _SlidingTubes(kb, kt, curved, np.asarray(masses(robot.tubes, self.load)))
 
     @cached_property
     def places(self) -> tuple[Array, Array]:
@@ -479,7 +504,7 @@ class _Channels:
         """(n,) potential of the weight of a tube per length, from the tip, N."""
         gravity, (out, _) = np.array(self.load.gravity or (0.0, 0.0, 0.0)), self.places
         place = y[-18:-15] - self.equilibrium.tip_position + out @ y[-15:-6].reshape(3, 3)[:, :2].T
-        return np.asarray(self.tubes[3] * (place @ gravity))
+        return np.asarray(self.tubes.mass * (place @ gravity))
 
     def potential(self, y: Array, section: _BundleSection, u: Array) -> float:
         """Quantity that is the same on both sides of a boundary that slides, N."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -206,11 +206,26 @@ TABLES = (MeshObstacle, DistanceField)
 """Bodies without a formula for their distance."""
 
 
-def knot_inputs(kind: Kind) -> tuple[Any, Any, list[Any]]:
-    """Symbols x and p of `arm_at_knot`, and their parts by name."""
+class KnotInputs(NamedTuple):
+    """Symbols of `arm_at_knot`, and their parts."""
+
+    x: Any
+    p: Any
+    tip: Any
+    """Tip rotations (n,)."""
+    translations: Any
+    margin: Any
+    robot: Any
+    """Numbers of the robot."""
+    radius: Any
+    """Radius of the arm (n,), m."""
+
+
+def knot_inputs(kind: Kind) -> KnotInputs:
+    """Symbols of `arm_at_knot`."""
     n = kind.n
     x, p = ca.MX.sym("x", 2 * n + 1), ca.MX.sym("p", kind.size + n)
-    return x, p, [*ca.vertsplit(x, [0, n, 2 * n, 2 * n + 1]), *ca.vertsplit(p, [0, kind.size, kind.size + n])]
+    return KnotInputs(x, p, *ca.vertsplit(x, [0, n, 2 * n, 2 * n + 1]), *ca.vertsplit(p, [0, kind.size, kind.size + n]))
 
 
 # Least time hardly depends on most joints: without damping steps are so long that equilibria do not follow. Of twelve
@@ -230,7 +245,7 @@ def arm_at_knot(kind: Kind, what: str, bodies: tuple[Obstacle, ...] = ()) -> Kno
     distances take four times as long as all others, and save a third of the iterations: they are 0.
     """
     n = kind.n
-    x, p, (*at, radius) = knot_inputs(kind)
+    x, p, *at, radius = knot_inputs(kind)
     if what == "balance":
         out: Any = ca.vertcat(*explicit_joints(kind)(*at))
     else:

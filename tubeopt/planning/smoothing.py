@@ -214,7 +214,7 @@ def _knot(question: PathQuestion) -> ca.Function:
     The column has joint rotations, determinants of the Jacobi fields, and minimum distances from bodies, m.
     """
     kind = question.kind
-    x, p, (tip, shift, margin, robot, radius) = knot_inputs(kind)
+    x, p, tip, shift, margin, robot, radius = knot_inputs(kind)
     if not question.obstacles:
         rotations, fields = explicit_joints(kind)(tip, shift, margin, robot)
         minima: Any = ca.MX(0, 1)

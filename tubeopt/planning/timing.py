@@ -20,6 +20,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -78,6 +79,15 @@ Tips = Callable[[Array], Array]
 """Tip positions (k, 3), m, at joint values (k, m)."""
 
 
+class TipLimit(NamedTuple):
+    """Limit on the speed of the tip."""
+
+    speed: float
+    """Largest speed, m/s."""
+    positions: Tips
+    """Tip positions as a function of the joint values."""
+
+
 @dataclass(frozen=True, eq=False)
 class Limits:
     """Limits on joints and tip."""
@@ -86,8 +96,7 @@ class Limits:
     """(m,) largest rates of the joints."""
     acceleration: Array
     """(m,) largest accelerations of the joints."""
-    tip: tuple[float, Tips] | None = None
-    """Largest speed of the tip, m/s, and its position as a function of the joint values."""
+    tip: TipLimit | None = None
 
 
 def at_full_speed(motion: JointMotion, limits: Limits) -> JointMotion:
@@ -166,7 +175,7 @@ def _squared_speeds(curves: Sequence[PPoly], grids: Sequence[Array], limits: Lim
     tips: list[Array | None] = [None] * len(curves)
     if limits.tip is not None:
         # All at once, since the branch is followed from the start of the first curve.
-        all_tips = limits.tip[1](np.concatenate([curve(s) for curve, s in zip(curves, grids, strict=True)]))
+        all_tips = limits.tip.positions(np.concatenate([curve(s) for curve, s in zip(curves, grids, strict=True)]))
         tips = list(np.split(all_tips, np.cumsum([len(s) for s in grids])[:-1]))
     rows = zip(curves, grids, tips, strict=True)
     return [_solve(_Program.of(curve, s, limits, tip)) for curve, s, tip in rows]
@@ -222,7 +231,7 @@ class _Program:
             # Samples are joined by straight lines, so the joints have the rates of neighbouring cells as well.
             neighbours = 1 + 2 * math.ceil(len(h) / MIN_SAMPLES_OF_TIP)
             fastest = scipy.ndimage.maximum_filter1d(np.linalg.norm(speed, axis=2).max(0), neighbours)
-            pace = np.maximum(pace, fastest / (RATE_SAFETY_FACTOR * limits.tip[0]))
+            pace = np.maximum(pace, fastest / (RATE_SAFETY_FACTOR * limits.tip.speed))
         x_max = 1 / np.maximum(np.append(pace, 0.0), np.append(0.0, pace)).clip(TINY) ** 2
         # At an end where q_s = 0 the robot is at rest at any path speed.
         moving = np.abs(curve(s[[0, -1]], nu=1) / limits.rate).max(1) * np.sqrt(x_max[[0, -1]]) > 1e-6
@@ -332,7 +341,7 @@ def actuators(task: PlanTask, first: Equilibrium) -> Limits:
         positions = np.array([e.tip_position for e in track(task, first, q)])
         return np.concatenate([positions, np.repeat(positions[-1:], len(q) - len(positions), axis=0)])
 
-    tip = None if rates.tip is None else (rates.tip, tips)
+    tip = None if rates.tip is None else TipLimit(rates.tip, tips)
     return Limits(*rates.of(task.coordinates.space), tip)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -432,9 +432,19 @@ def has_curve(assembly: Assembly, tube: int) -> bool:
     return bool(assembly.end[tube] > assembly.transition[tube])
 
 
-def tube_positions(translations: Any, straight_length: Any, curved_length: Any) -> tuple[Any, Any, Any]:
-    """Transmission |beta|, transition and end (n,) of the tubes: arrays or expressions."""
-    return straight_length - translations, translations, translations + curved_length
+class TubePositions(NamedTuple):
+    """(n,) positions of tubes, m: arrays or expressions."""
+
+    transmission: Any
+    """|beta|."""
+    transition: Any
+    """Arc length at which the curved part begins."""
+    end: Any
+
+
+def tube_positions(translations: Any, straight_length: Any, curved_length: Any) -> TubePositions:
+    """Positions of tubes at translations (n,)."""
+    return TubePositions(straight_length - translations, translations, translations + curved_length)
 
 
 def dimensions_of(tubes: Sequence[Any]) -> dict[str, Array]:

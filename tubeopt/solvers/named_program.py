@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Annotated, Any, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
@@ -23,7 +23,7 @@ from ..display import Displayed
 from ..errors import InputError, instance, nearest
 from ..files.field_metadata import form
 from ..files.files import read_bytes, read_text, save_arrays, write_text
-from ..typing import Array, StatusEnum
+from ..typing import Array, Mask, StatusEnum
 from .settings import AT_SOLUTION, Ipopt, WarmStart
 from .time_limit import MIN_SECONDS, check_time, time_left
 
@@ -395,6 +395,17 @@ class _Constraint:
     entries: tuple[str, ...]
 
 
+class ScaledMultipliers(NamedTuple):
+    """Multipliers with signs and scale of IPOPT."""
+
+    constraints: Array
+    """(G,) multipliers of the constraints."""
+    bounds: Array
+    """(X,) multipliers of the bounds of the variables."""
+    equations: Mask
+    """(G,) True for constraints that are equations."""
+
+
 class NamedProgram:
     """Variables, constraints and parameters of a nonlinear program, by name, and one solve of it."""
 
@@ -647,11 +658,13 @@ class NamedProgram:
         p = np.concatenate([*(numbers for _, numbers in self._parameters.values()), np.zeros(0)])
         return function.get_function(name)(x / Stacked(list(self.variables.values())).scale, p)[1].sparse()
 
-    def scaled_multipliers(self, at: ProblemSolution) -> tuple[Array, Array, Array]:
-        """Multipliers of constraints and bounds with signs and scale of IPOPT, and which constraints are equations."""
+    def scaled_multipliers(self, at: ProblemSolution) -> ScaledMultipliers:
+        """Multipliers of a solution, as IPOPT has them."""
         x, g = (Stacked(list(part.values())) for part in (self.variables, self._constraints))
         of_bounds = -self._known(at.bound_multipliers, self.variables) * x.scale
-        return -self._known(at.multipliers, self._constraints) * g.scale, of_bounds, g.lower == g.upper
+        return ScaledMultipliers(
+            -self._known(at.multipliers, self._constraints) * g.scale, of_bounds, g.lower == g.upper
+        )
 
     def violated(self, names: Sequence[str], values: dict[str, Array], tolerance: float) -> tuple[Violation, ...]:
         """Violations of the named constraints at values of the variables, worst first."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -302,14 +302,26 @@ def _strains(e: Equilibrium, i: int, place: Array, angle: Array) -> tuple[Array,
     return np.asarray(fibre_strain(fibre, bent, own)), radius * (rate - twist)
 
 
-def _own_shape(assembly: Assembly, tube: Tube, i: int, place: Array) -> tuple[Array, Array, Array]:
-    """Precurvature (P,), as x + j y, natural twist (P,), 1/m, and torsional stiffness (P,) along a tube."""
+class _OwnShape(NamedTuple):
+    """Tube without stress at P places along it."""
+
+    curvature: Array
+    """Precurvature x + j y, 1/m."""
+    twist: Array
+    """Natural twist, 1/m."""
+    stiffness: Array
+    """Torsional stiffness, N m^2."""
+
+
+def _own_shape(assembly: Assembly, tube: Tube, i: int, place: Array) -> _OwnShape:
+    """Shape and stiffness of a tube without stress at places (P,)."""
     if assembly.even:
         natural = np.where(place > tube.straight_length, float(assembly.curvature[i]), 0.0).astype(complex)
-        return natural, np.zeros(len(place)), np.full(len(place), float(assembly.torsional_stiffness[i]))
+        even = np.full(len(place), float(assembly.torsional_stiffness[i]))
+        return _OwnShape(natural, np.zeros(len(place)), even)
     assert assembly.lengthwise is not None
     _, kt, x, y, z, _ = assembly.lengthwise.values(np.tile(place[:, None], (1, assembly.n_tubes)))[:, :, i]
-    return x + 1j * y, z, kt
+    return _OwnShape(x + 1j * y, z, kt)
 
 
 def _endurance(tube: Tube, amplitude: float, mean: float) -> Endurance:

@@ -58,6 +58,17 @@ class MotionState:
         return np.concatenate([tangents(stages(self.mesh, self.curvature).stage).ravel(), self.turns])
 
 
+class _Angles(NamedTuple):
+    """Rotations of the tubes at coordinates y."""
+
+    theta: Array
+    """(P, n) rotations at the points, rad."""
+    z: Array
+    """Whitened unknowns of the torsion."""
+    alpha: Array
+    """(n,) rotations at the clamped ends, rad."""
+
+
 class MotionSlopes(NamedTuple):
     """Derivatives at coordinates y (Y,)."""
 
@@ -222,12 +233,12 @@ class TubeMotion:
         weighted = self.problem.torsion.weight[:, None] * self.problem.force
         return np.concatenate([weighted.ravel(), np.zeros(len(self.spin))])
 
-    def _angles(self, y: Array) -> tuple[Array, Array, Array]:
+    def _angles(self, y: Array) -> _Angles:
         torsion = self.problem.torsion
         z, alpha = y[: torsion.size], y[self.problem.size :]
         theta = np.tile(alpha, (len(torsion.weight), 1))
         theta.ravel()[torsion.flat] += torsion.factor @ z
-        return theta, z, alpha
+        return _Angles(theta, z, alpha)
 
     def _curvature(self, natural: Array, y: Array) -> Array:
         q = y[self.problem.torsion.size : self.problem.size]

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
@@ -146,13 +146,21 @@ def clamp_distance(mold: Mold) -> float:
     return beyond_edge([groove.width for groove in mold.grooves], mold.spec)
 
 
-def stock_size(mold: Mold, part: str) -> tuple[float, float, float]:
-    """Width, height and thickness (m) of the stock of a plate; in whole mm with room for tools and clamps."""
+class StockSize(NamedTuple):
+    """Size of the stock of a plate, m."""
+
+    width: float
+    height: float
+    thickness: float
+
+
+def stock_size(mold: Mold, part: str) -> StockSize:
+    """Size of the stock of a plate, in whole mm with room for tools and clamps."""
     shop, plate = mold.spec.workshop, mold.spec.plate
     thickness = plate.thickness if part == "base" else plate.lid_thickness
     beside = 2 * clamp_distance(mold) * TO_MM
     width, height = (math.ceil(side * TO_MM + beside) / TO_MM for side in mold.size) if shop.cut_out else mold.size
-    return width, height, thickness
+    return StockSize(width, height, thickness)
 
 
 def drill_diameter(hole: Hole) -> float:

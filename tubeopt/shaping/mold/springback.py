@@ -206,6 +206,16 @@ class PolynomialFit(NamedTuple):
     """Half-width of the 95 % interval of one new tube in the worst of these molds; NaN with too few trials."""
 
 
+class _Weighted(NamedTuple):
+    """Weighted linear fit."""
+
+    values: Array
+    """Coefficients."""
+    squares: float
+    """Sum of the squares of the scaled deviations."""
+    covariance: Array
+
+
 def _least_squares(kappa: Array, lost: Array, error: Array | None, order: int) -> PolynomialFit:
     """Fit the lost fraction by a polynomial of the mold's curvature with `order` coefficients.
 
@@ -214,13 +224,13 @@ def _least_squares(kappa: Array, lost: Array, error: Array | None, order: int) -
     matrix = np.vander(kappa, order, increasing=True)
     dof = len(lost) - order
 
-    def weighted(noise: float) -> tuple[Array, float, Array]:
-        """Coefficients, sum of the squares of the scaled deviations, and covariance, for a scatter of tubes."""
+    def weighted(noise: float) -> _Weighted:
+        """Fit for a scatter of tubes."""
         deviation = np.ones(len(lost)) if error is None else np.hypot(error, noise)
         scaled = matrix / deviation[:, None]
         values = np.asarray(np.linalg.lstsq(scaled, lost / deviation, rcond=None)[0], dtype=float)
         squares = float(np.sum(((lost - matrix @ values) / deviation) ** 2))
-        return values, squares, np.asarray(np.linalg.inv(scaled.T @ scaled), dtype=float)
+        return _Weighted(values, squares, np.asarray(np.linalg.inv(scaled.T @ scaled), dtype=float))
 
     values, squares, covariance = weighted(0.0)
     if dof < 1:
@@ -232,7 +242,7 @@ def _least_squares(kappa: Array, lost: Array, error: Array | None, order: int) -
     elif squares > dof:
         # The scatter that explains the deviations beyond the errors of measurement (Paule and Mandel 1982).
         most = 10 * float(np.std(lost))
-        noise = float(scipy.optimize.brentq(lambda trial: weighted(trial)[1] - dof, 0.0, most))
+        noise = float(scipy.optimize.brentq(lambda trial: weighted(trial).squares - dof, 0.0, most))
         values, _, covariance = weighted(noise)
     # Student's t, since the noise is estimated from the same trials.
     student = float(scipy.special.stdtrit(dof, (1 + 0.95) / 2))

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy
@@ -177,8 +178,19 @@ def _trace(flat: _Flat, line: Array, dark: bool) -> TubeTrace | None:
     return TubeTrace(metres, width * flat.pitch, edge * flat.pitch, dark)
 
 
-def _profiles(flat: _Flat, points: Array, dark: bool) -> tuple[Array, float, float] | None:
-    """Points on the centreline (N, 2), and medians of the tube's width and of the width of its edges, in pixels."""
+class _Centreline(NamedTuple):
+    """Tube in an image, in pixels."""
+
+    points: Array
+    """(N, 2) points on its centreline."""
+    width: float
+    """Median width."""
+    edge: float
+    """Median width of its edges."""
+
+
+def _profiles(flat: _Flat, points: Array, dark: bool) -> _Centreline | None:
+    """Centreline from profiles across a curve (N, 2) near it; None without a tube of even width."""
     tangent = np.gradient(points, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1)[:, None]
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
@@ -202,12 +214,23 @@ def _profiles(flat: _Flat, points: Array, dark: bool) -> tuple[Array, float, flo
     good = known & (np.abs(width - usual) < 0.25 * usual) & (contrast > 0.5 * strong)
     if good.sum() < 0.5 * len(points):
         return None
-    return points[good] + middle[good, None] * normal[good], float(np.median(width[good])), float(np.median(edge[good]))
+    centred = points[good] + middle[good, None] * normal[good]
+    return _Centreline(centred, float(np.median(width[good])), float(np.median(edge[good])))
 
 
-def _edges(across: Array, depth: Array, top: int) -> tuple[float, float, float, float]:
-    """Middle, width and edge width of the tube in a profile, and its contrast; NaN without a tube."""
-    nothing = (np.nan,) * 4
+class _Profile(NamedTuple):
+    """Tube in one profile across it, in pixels, and its contrast."""
+
+    middle: float
+    width: float
+    edge: float
+    """Width of the sharper edge."""
+    contrast: float
+
+
+def _edges(across: Array, depth: Array, top: int) -> _Profile:
+    """Tube in a profile; NaN without a tube."""
+    nothing = _Profile(np.nan, np.nan, np.nan, np.nan)
     paper = float(np.percentile(depth, 20))
     contrast = float(depth[top]) - paper
     crossings = []
@@ -226,7 +249,7 @@ def _edges(across: Array, depth: Array, top: int) -> tuple[float, float, float, 
     right, left = crossings
     # The shadow that a tube casts widens one edge; blur widens both.
     edge = min(right[0] - right[2], left[2] - left[0])
-    return 0.5 * (right[1] + left[1]), right[1] - left[1], edge, contrast
+    return _Profile(0.5 * (right[1] + left[1]), right[1] - left[1], edge, contrast)
 
 
 def _smooth(points: Array, length: float) -> Array:
