@@ -547,11 +547,11 @@ class TubeRates(NamedTuple):
 
     phase: Array
     bending: Array
-    """Of kb."""
+    """Rate of kb, N m."""
     moment: Array
-    """Of m."""
+    """Rate of m."""
     compliance: Array
-    """Of 1 / kt."""
+    """Rate of 1 / kt."""
 
 
 @lru_cache(maxsize=64)

@@ -56,41 +56,6 @@ from .smoothing import smooth
 from .timing import Limits, actuators, at_full_speed, joint_curves, round_corners, stopping_at, through, track
 from .trajectory import Entry, PlanStatistics, Trajectory
 
-Faults = tuple[str, ...]
-
-# The rest is left to rounding corners and to the proof.
-SMOOTHING_FRACTION, MIN_SMOOTHING = 0.5, 1.0
-"""Maximum share of the remaining time for smoothing, since the proof needs the rest; and time, s, below which it is
-skipped."""
-
-# Distances are tables there. Rounded corners are rarely longer than the answer of the program.
-SCANNED_SECONDS = 2.5
-"""Maximum duration of smoothing for length among scanned obstacles, s."""
-
-WORTH, WORTH_AMONG_BODIES = 0.02, 0.1
-"""Relative excess of a path over the straight line that justifies smoothing for length, in free space and among
-obstacles, where it takes twice as long."""
-
-# Lengths are sums over samples, which cut corners.
-SAME_LENGTH = 2e-3
-"""Largest relative difference of lengths and durations that count as equal."""
-
-# Forward kinematics follows every spacing from end to end.
-ROUNDING_SECONDS, ROUNDING_FRACTION = 5.0, 0.3
-"""Maximum duration of rounding corners, s, and share of the time that smoothing leaves."""
-
-# Between the points of its grid the tip can be a little too fast. A larger excess has another cause.
-MAX_OVERSPEED = 1.1
-"""Largest ratio of the tip speed to its limit that is repaired by slowing the motion down."""
-
-# A motion without its end is useless.
-EXTRA_SECONDS = 0.25
-"""Largest overrun of the time limit for following an unproved motion to its end, s."""
-
-# Round-off: start and goal are the same joint values.
-SHORT = 1e-9
-"""Length of a path, in units of the joint scales, below which it is not smoothed."""
-
 
 class CandidateMotion(NamedTuple):
     """Motion near a path, to be proved."""
@@ -101,6 +66,24 @@ class CandidateMotion(NamedTuple):
     iterations: int
     """Number of iterations of the smoothing."""
     knots: int
+
+
+# The rest is left to rounding corners and to the proof.
+SMOOTHING_FRACTION, MIN_SMOOTHING = 0.5, 1.0
+"""Maximum share of the remaining time for smoothing, since the proof needs the rest; and time, s, below which it is
+skipped."""
+
+# Distances are tables there. Rounded corners are rarely longer than the answer of the program.
+SCANNED_SECONDS = 2.5
+"""Maximum duration of smoothing for length among scanned obstacles, s."""
+
+# Lengths are sums over samples, which cut corners.
+SAME_LENGTH = 2e-3
+"""Largest relative difference of lengths and durations that count as equal."""
+
+# Forward kinematics follows every spacing from end to end.
+ROUNDING_SECONDS, ROUNDING_FRACTION = 5.0, 0.3
+"""Maximum duration of rounding corners, s, and share of the time that smoothing leaves."""
 
 
 def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[CandidateMotion]:
@@ -144,6 +127,15 @@ def motions_near(task: PlanTask, first: Equilibrium, points: Array) -> list[Cand
     return [*candidates, CandidateMotion(resting, "", 0, len(points))]
 
 
+WORTH, WORTH_AMONG_BODIES = 0.02, 0.1
+"""Relative excess of a path over the straight line that justifies smoothing for length, in free space and among
+obstacles, where it takes twice as long."""
+
+# Round-off: start and goal are the same joint values.
+SHORT = 1e-9
+"""Length of a path, in units of the joint scales, below which it is not smoothed."""
+
+
 def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
     """True if a path, curves of joint values (k, m), can become much shorter: none is shorter than the straight line.
 
@@ -157,6 +149,18 @@ def _worth_smoothing(task: PlanTask, curves: Sequence[Array]) -> bool:
         return length >= SHORT
     straight = float(np.linalg.norm((curves[-1][-1] - curves[0][0]) / task.scale))
     return 1 - straight / length > (WORTH_AMONG_BODIES if task.obstacles else WORTH)
+
+
+Faults = tuple[str, ...]
+
+
+# Between the points of its grid the tip can be a little too fast. A larger excess has another cause.
+MAX_OVERSPEED = 1.1
+"""Largest ratio of the tip speed to its limit that is repaired by slowing the motion down."""
+
+# A motion without its end is useless.
+EXTRA_SECONDS = 0.25
+"""Largest overrun of the time limit for following an unproved motion to its end, s."""
 
 
 def build(
@@ -235,37 +239,6 @@ def no_time(clock: Clock) -> str:
     return f"the time limit of {clock.limit:g} s left no time to follow the path found"
 
 
-# Each attempt triples the reserve of the margin. Where the third fails, the violation is between the checked points of
-# any path there.
-ATTEMPTS = 3
-"""Maximum number of attempts: a failed proof is followed by a plan with more clearance and other random numbers."""
-
-# A search that uses all of the time leaves none to follow its path.
-SEARCH_FRACTION = 0.9
-"""Share of the time limit after which the search ends, so that the result can be reported in time."""
-
-# The partial path is timed and followed, and the cause of the failure is searched.
-REPORT_SECONDS, REPORT_FRACTION = 2.0, 0.35
-"""Time reserved for the report, s, and its largest fraction of the time limit."""
-
-# All configurations of a target take inverse kinematics seconds, which a short search needs itself.
-POSTURES_SECONDS, NEAREST_FRACTION = 15.0, 0.4
-"""Time, s, below which only the nearest configuration for a tip goal is tried; share of it for that one if others
-follow."""
-
-# The other part is for a search from scratch.
-ROADMAP_FRACTION = 0.3
-"""Fraction of the search time for a roadmap, which is tried first."""
-
-# Up to sixty random shortcuts are tried, each of which checks one motion.
-SHORTEN_SECONDS, SHORTEN_FRACTION = 2.0, 0.3
-"""Maximum duration of shortcutting, s, and fraction of the remaining time."""
-
-# A partial motion is cut short so that its proof fits into the remaining time.
-PROOF_SECONDS, PROOF_SECONDS_PER_SAMPLE = 0.1, 1e-3
-"""Typical upper limits of the time of a proof, s: constant part, and per sample of the motion."""
-
-
 @typed
 @by_model
 @small
@@ -317,6 +290,12 @@ def plan_trajectory(  # noqa: PLR0913
         return _planned(task, start, goal)
 
 
+# Each attempt triples the reserve of the margin. Where the third fails, the violation is between the checked points of
+# any path there.
+ATTEMPTS = 3
+"""Maximum number of attempts: a failed proof is followed by a plan with more clearance and other random numbers."""
+
+
 def _planned(task: PlanTask, start: Any, goal: Any) -> Trajectory:
     """Plan of a task; raises as `plan_trajectory`, and OutOfTimeError."""
     coordinates, options = task.coordinates, task.options
@@ -358,6 +337,24 @@ class _Search(NamedTuple):
     path: PathResult
 
 
+# A search that uses all of the time leaves none to follow its path.
+SEARCH_FRACTION = 0.9
+"""Share of the time limit after which the search ends, so that the result can be reported in time."""
+
+# The partial path is timed and followed, and the cause of the failure is searched.
+REPORT_SECONDS, REPORT_FRACTION = 2.0, 0.35
+"""Time reserved for the report, s, and its largest fraction of the time limit."""
+
+# All configurations of a target take inverse kinematics seconds, which a short search needs itself.
+POSTURES_SECONDS, NEAREST_FRACTION = 15.0, 0.4
+"""Time, s, below which only the nearest configuration for a tip goal is tried; share of it for that one if others
+follow."""
+
+# The other part is for a search from scratch.
+ROADMAP_FRACTION = 0.3
+"""Fraction of the search time for a roadmap, which is tried first."""
+
+
 def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], seed: int) -> _Search:
     """Path to one of the goals; without any to a tip goal, a path to other configurations with that tip."""
     options, clock = task.options, task.clock
@@ -390,6 +387,11 @@ def _search(task: PlanTask, first: Equilibrium, goal: Any, goals: list[End], see
     task = _between(task, first, goals)
     second = find(task, start, [end.point for end in more or goals], remaining, seed=seed + 1)
     return _Search(task, goals, replace(second, motions=path.motions + second.motions, impossible=False))
+
+
+# Up to sixty random shortcuts are tried, each of which checks one motion.
+SHORTEN_SECONDS, SHORTEN_FRACTION = 2.0, 0.3
+"""Maximum duration of shortcutting, s, and fraction of the remaining time."""
 
 
 def _smooth_and_prove(task: PlanTask, first: Equilibrium, end: End, path: PathResult) -> Trajectory | Faults:
@@ -452,6 +454,11 @@ def _search_error(task: PlanTask, first: Equilibrium, goals: Sequence[End], path
     return SolveError(f"no plan was found within {clock.limit:g} s: {tried}{nearest}{why}", partial)
 
 
+# A partial motion is cut short so that its proof fits into the remaining time.
+PROOF_SECONDS, PROOF_SECONDS_PER_SAMPLE = 0.1, 1e-3
+"""Typical upper limits of the time of a proof, s: constant part, and per sample of the motion."""
+
+
 def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> tuple[Array, JointMotion | None]:
     """Longest first part of a path that should be provable within `left` seconds, as a motion with stops."""
     while len(points) > 1:
@@ -463,14 +470,6 @@ def _affordable(task: PlanTask, points: Array, limits: Limits, left: float) -> t
         points = points[: min(len(points) - 1, int(len(points) * left / needed))]
     return points, None
 
-
-# They only rank poses of the plate; plans decide.
-ARMS, NEAREST_ARMS, POINTS = 1024, 12, 48
-"""Random arms that rank poses of the plate, those considered per goal position (nearest first), and points of each."""
-
-# A pose without a plan must not use the time of those after it.
-SPLIT = 4
-"""Largest number of base poses that get equal parts of the time. Of more, each gets 1 / SPLIT of the remaining time."""
 
 MAX_BASE_POSES = 16384
 """Maximum number of poses of the plate."""
@@ -542,6 +541,11 @@ class PlanInputs(TypedDict, total=False):
     min_margin: float
     rate_limits: RateLimits
     limits: JointLimits | None
+
+
+# A pose without a plan must not use the time of those after it.
+SPLIT = 4
+"""Largest number of base poses that get equal parts of the time. Of more, each gets 1 / SPLIT of the remaining time."""
 
 
 @typed
@@ -626,6 +630,11 @@ def plan_from_region(
         f"collision-free start, and plans were tried from {tried}; for the most promising "
         f"one: {why or 'the time limit was reached'}"
     )
+
+
+# They only rank poses of the plate; plans decide.
+ARMS, NEAREST_ARMS, POINTS = 1024, 12, 48
+"""Random arms that rank poses of the plate, those considered per goal position (nearest first), and points of each."""
 
 
 def _scores(task: PlanTask, first: Equilibrium, goal: Any, frames: Sequence[Frame]) -> Array:
