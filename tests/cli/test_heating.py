@@ -11,10 +11,12 @@ from pathlib import Path
 import pytest
 
 from tests.command_line import ROOT, Run, answer, refused
-from tests.shaping.heating_reference import header_duties
+from tests.shaping.heating_reference import header_duties, thesis_plan
 from tubeopt import load_rig
 from tubeopt.cli.commands import CHARGES
+from tubeopt.runs.heating_study import ClosedLoopStudy
 from tubeopt.shaping.firmware.boards import BOARDS
+from tubeopt.shaping.firmware.sketch_files import board_header
 from tubeopt.shaping.heating import robust
 from tubeopt.shaping.tube_fabrication import lid_profile
 
@@ -280,6 +282,15 @@ def test_tubes_of_a_robot_are_heated_by_one_circuit(run: Run, tmp_path: Path) ->
     assert [len(each) for each in lines] == [2] * len(boards)
     assert len(set.union(*lines)) == 2
     assert len(schedules) == 2
+    # A sketch made later from a tube's rig file is for the same circuit, though the tube alone needs another sensor.
+    shared = {line.split()[1]: float(line.split()[2].strip("(f)")) for line in set.union(*lines)}
+    for file in tmp_path.glob("tube_*/rig.yaml"):
+        rig = load_rig(file)
+        assert rig.tube is not None
+        study = ClosedLoopStudy.model_validate({"kind": "led_heating", "rig": str(file), "board": "uno"})
+        board = board_header(study.wiring(), replace(thesis_plan(), tube=rig.tube, rig=study.pulsed_rig()))
+        defined = dict(re.findall(r"#define (PWM_HZ|AMPERE_PER_STEP) \(?([\d.e-]+)f", board))
+        assert {name: float(value) for name, value in defined.items()} == pytest.approx(shared, rel=1e-4)
 
 
 @pytest.mark.parametrize("words", [("heat", "plan"), ("heat", "calibrate"), ("fabricate",)])

@@ -270,6 +270,9 @@ def test_boards_have_the_frequencies_that_their_timers_have() -> None:
     assert pwm_frequency(Wiring(), weaker) == pytest.approx(30.64, abs=0.01)
     assert pwm_frequency(Wiring(), replace(thesis_rig(), tube=None)) == pytest.approx(490.2, abs=0.1)
     assert pwm_frequency(Wiring(), thesis_rig(), 100.0) == pytest.approx(122.55, abs=0.01)
+    # A circuit that is built keeps its pulses.
+    built = replace(thesis_rig().circuit, hall_sensitivity=0.01, pwm_frequency=490.0)
+    assert pwm_frequency(Wiring(), replace(thesis_rig(), circuit=built)) == pytest.approx(490.2, abs=0.1)
     with pytest.raises(InputError, match=r"pwm_Hz is 1000000; the sketch sets .* to 30.64 or 122.5 or 490.2 Hz"):
         pwm_frequency(Wiring(), thesis_rig(), 1e6)
     assert {board.name for board in BOARDS.values()} == {"uno", "nano", "esp32", "pico"}

@@ -35,7 +35,7 @@ UNITS = {
     **dict.fromkeys(["K", "degC", "per_K", "K_per_s", "W_per_m", "W_per_m_K", "W_per_m2_K"], Decimal(1)),
     **dict.fromkeys(["J", "J_per_m", "kg_per_m3", "J_per_kg_K", "ohm_m", "ohm_m2", "A2_s"], Decimal(1)),
     **dict.fromkeys(["mm", "mm_per_s", "mm_per_s2", "mm_per_N", "mJ", "mohm", "g", "g_per_m", "ms"], Decimal("1e-3")),
-    **dict.fromkeys(["mW", "mN", "mN_m", "mN_per_m", "mN_m_per_m"], Decimal("1e-3")),
+    **dict.fromkeys(["mW", "mN", "mN_m", "mN_per_m", "mN_m_per_m", "mV_per_A"], Decimal("1e-3")),
     **dict.fromkeys(["deg", "deg_per_s", "deg_per_s2"], DEG),
     **dict.fromkeys(["um", "us", "mm2", "cm3", "N_mm2"], Decimal("1e-6")),
     "mm_per_min": _CONTEXT.divide(MM, _MINUTE),

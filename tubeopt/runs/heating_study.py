@@ -362,26 +362,30 @@ class ClosedLoopStudy(HeatedTube):
     @model_validator(mode="after")
     def _buildable(self) -> Self:
         self._sensor()
-        rig = with_pulses(self.configured_rig(), self.heated_tube(), self._wiring(), self.si("pwm_Hz"))
-        hall_slope(self._wiring(), stop_current(self.heated_tube(), rig))
+        hall_slope(self.wiring(), stop_current(self.heated_tube(), self.pulsed_rig()))
         return self
+
+    def pulsed_rig(self) -> Rig:
+        """Rig with the heated tube, with the pulses of the board and with the sensor on the tube."""
+        rig = equipped(replace(self.configured_rig(), tube=self.heated_tube()), self._sensor())
+        return with_pulses(rig, self.heated_tube(), self.wiring(), self.si("pwm_Hz"))
 
     def _sensor(self) -> Sensor:
         kind = SENSORS[choice("sensor", self.sensor, READS)]
         # A thermometer of known bias was compared with another one, in its slot: no correction is left.
         return kind() if self.bias_K is None else kind(bias=self.si("bias_K"), correction=0.0)
 
-    def _wiring(self) -> Wiring:
-        return Wiring(board=self.board, converter=converter_for(self.sensor, self.converter))
+    def wiring(self) -> Wiring:
+        """Board and converter, with the current sensor of a built circuit."""
+        built = self.rig.circuit.hall_sensitivity
+        return Wiring(board=self.board, converter=converter_for(self.sensor, self.converter), shunt_V_per_A=built)
 
     def run(self, progress: Progress | None = None) -> ClosedLoopHeating:
         """Plan the heating for the board's PWM frequency, and design its controller."""
         show = progress or (lambda done, total: None)
         show(0, 2)
-        rig, wiring = replace(self.configured_rig(), tube=self.heated_tube()), self._wiring()
-        rig = equipped(rig, self._sensor())
         # Before planning: switching losses depend on the frequency.
-        rig = with_pulses(rig, self.heated_tube(), wiring, self.si("pwm_Hz"))
+        rig, wiring = self.pulsed_rig(), self.wiring()
         plan = plan_heating(self.heated_tube(), rig, self.spec())
         show(1, 2)
         feedback = design_feedback(plan, self._sensor(), samples=self.samples)
@@ -459,6 +463,13 @@ class TubeParts:
     led: ClosedLoopHeating | None = None
     """Firmware of the heating; None without a sensor that a sketch reads."""
 
+    @property
+    def rig(self) -> Rig:
+        """Rig as drawn with its tube, and with the current sensor of the circuit that all tubes share."""
+        rig, sensor = self.heating.plan.rig, None if self.led is None else self.led.wiring.shunt_V_per_A
+        circuit = rig.circuit if sensor is None else replace(rig.circuit, hall_sensitivity=sensor)
+        return replace(rig, tube=self.heating.plan.tube, circuit=circuit)
+
     def with_firmware(self, wiring: Wiring) -> TubeParts:
         """A copy with the firmware for a wiring, of a heating with a sensor."""
         plan = self.heating.plan
@@ -521,7 +532,7 @@ class FabricationStudy(Timed):
 
     def _wiring(self) -> Wiring:
         converter = converter_for(self.sensor) if self.sensor in READS else Wiring.converter
-        return Wiring(board=self.board, converter=converter)
+        return Wiring(board=self.board, converter=converter, shunt_V_per_A=self.rig.circuit.hall_sensitivity)
 
     def run(self, progress: Progress | None = None) -> Fabrication:
         """Plan every tube: its mold for the rig, and its heating on the rig with this mold.

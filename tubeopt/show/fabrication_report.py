@@ -515,8 +515,7 @@ class FabricationReport(Report[Fabrication]):
             for name, of_part in _of_tube(part).items():
                 paths += of_part.save(folder / name)
             paths.append(folder / "rig.yaml")
-            rig = replace(part.heating.plan.rig, tube=part.heating.plan.tube)
-            save_rig(rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
+            save_rig(part.rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
             title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
             made = replace(part.fabrication, heating=part.heating.plan)
             success, faults = success_text(part.heating.success), _faults(part)

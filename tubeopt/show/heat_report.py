@@ -14,17 +14,17 @@ from rich.text import Text
 from ..constants import ZERO_CELSIUS
 from ..errors import SolveError
 from ..files.files import write_text
-from ..files.units import TO_MM
+from ..files.units import TO_MM, per_si
 from ..robots.passport import continue_passport
 from ..robots.tubes import Tube
 from ..runs.heating_run import HeatingRun, HeatingRunStudy
 from ..runs.heating_study import ClosedLoopHeating, Heating, Success
 from ..runs.workshop_file import rig_to_dict, save_rig
-from ..shaping.firmware.boards import Part, parts_list
+from ..shaping.firmware.boards import Part, hall_slope, parts_list
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.calibration import BIAS, UNITS, RigFit, kind_of
 from ..shaping.heating.controller import Contribution, Feedback
-from ..shaping.heating.cutout import CutOut, SafeSupply, Short, cut_out, safe_supplies
+from ..shaping.heating.cutout import CutOut, SafeSupply, Short, cut_out, safe_supplies, stop_current
 from ..shaping.heating.oven import OvenPlan, oven_csv
 from ..shaping.heating.plan import Cure, HeatingPlan, arduino_header, schedule_csv
 from ..shaping.heating.replanning import Replanner
@@ -383,6 +383,11 @@ FEEDBACK = described(
     of_field(Feedback, "contributions", of=CONTRIBUTION),
 )  # fmt: skip
 
+def _hall_sensitivity(answer: ClosedLoopHeating) -> float:
+    """Sensitivity of the current sensor of the sketch, V/A."""
+    return hall_slope(answer.wiring, stop_current(answer.plan.tube, answer.plan.rig))
+
+
 SHORT = described(Short)
 
 SUPPLY = described(SafeSupply)
@@ -406,6 +411,9 @@ FEEDBACK_HEATING = described(
     Quantity("board", "board for the sketch", lambda a: a.wiring.known.title, label="board",
              text="{board}, pulses at {pwm_Hz:.1f} Hz"),
     "frequency",
+    Quantity("hall_mV_per_A", "sensitivity of the current sensor", _hall_sensitivity, label="current sensor",
+             text=lambda a: f"{_hall_sensitivity(a) * per_si('mV_per_A'):g} mV/A, "
+             + ("chosen for this tube" if a.wiring.shunt_V_per_A is None else "with its pulses from the rig file")),
     *within(FEEDBACK, lambda a: a.feedback),
     *within(CUT_OUT, lambda a: cut_out(a.plan)),
     Quantity("safe_supplies", "supplies that need no cut-out", lambda a: list(safe_supplies(a.plan)), of=SUPPLY),

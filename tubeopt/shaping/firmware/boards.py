@@ -229,12 +229,14 @@ def pwm_frequency(wiring: Wiring, rig: Rig, requested: float | None = None) -> f
     """PWM frequency (Hz) of the board nearest to the requested one; default the lowest that is safe.
 
     A low frequency has the smallest pulse loss. It is safe if a shorted switch leaves the tube of the rig below 650
-    degC from 560 degC, with the cut-out of the rig.
+    degC from 560 degC, with the cut-out of the rig. A built circuit, with a known current sensor, keeps its frequency.
 
     Raises:
         InputError: the board has no frequency within a factor of 2, or pulses of the rig lose a tenth of a period.
     """
     board = wiring.known
+    if requested is None and rig.circuit.hall_sensitivity is not None:
+        requested = rig.circuit.pwm_frequency
     frequency = board.frequencies[-1]
     if rig.tube is not None:
         for slow in reversed(board.frequencies):

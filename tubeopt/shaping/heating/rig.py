@@ -186,6 +186,13 @@ class Circuit:
     peak_limit: Annotated[
         float, unit("A"), Range(above=0.0, maximum=5000.0), "limit of the current while the MOSFET conducts"
     ] = 200.0
+    hall_sensitivity: Annotated[
+        float | None,
+        unit("mV_per_A"),
+        Range(above=0.0, maximum=1.0),
+        "sensitivity of the built circuit's current sensor; with it, sketches keep this scale and pwm_frequency_Hz. "
+        "Default: no circuit is built yet, and both are chosen for the tube",
+    ] = None
 
     def __post_init__(self) -> None:
         check_fields(self, "the circuit")
