@@ -383,6 +383,7 @@ FEEDBACK = described(
     of_field(Feedback, "contributions", of=CONTRIBUTION),
 )  # fmt: skip
 
+
 def _hall_sensitivity(answer: ClosedLoopHeating) -> float:
     """Sensitivity of the current sensor of the sketch, V/A."""
     return hall_slope(answer.wiring, stop_current(answer.plan.tube, answer.plan.rig))
