@@ -1,7 +1,8 @@
 """Joint values of the model from the drive readings of a robot, and back, with compliant carriages.
 
 The tubes push a carriage back with F = dE/dz, the derivative of their elastic energy with respect to its translation z.
-A carriage of compliance c with the reading z0 is at z = z0 - c F(z).
+The energy counts curved parts that the plate holds straight behind it. A carriage of compliance c with the reading z0 is
+at z = z0 - c F(z).
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import scipy
 from numpy.typing import ArrayLike
 
 from ..errors import SolveError
+from ..robots.eccentric import BundleRobot
 from ..robots.robot import Robot
 from ..typing import Array, Index
 from .batch import forward_kinematics_batch
@@ -73,13 +75,33 @@ def push(robot: Robot, rotations: Array, translations: Array) -> tuple[Array, Ar
     centre, plus, minus, both_plus, both_minus = (
         part.T for part in np.split(energy.reshape(-1, count), np.cumsum([1, n, n, len(i)]))
     )
-    force, stiffness = (plus - minus) / (2 * STEP), np.zeros((count, n, n))
+    ahead, behind = (held_straight(robot, middle + way * STEP) for way in (1, -1))
+    force, stiffness = (plus - minus) / (2 * STEP) - (ahead + behind) / 2, np.zeros((count, n, n))
     diagonal = (plus - 2 * centre + minus) / STEP**2
     mixed = ((both_plus - 2 * centre + both_minus) / STEP**2 - diagonal[:, i] - diagonal[:, j]) / 2
-    stiffness[:, range(n), range(n)], stiffness[:, i, j], stiffness[:, j, i] = diagonal, mixed, mixed
+    stiffness[:, i, j], stiffness[:, j, i] = mixed, mixed
+    stiffness[:, range(n), range(n)] = diagonal - (ahead - behind) / (2 * STEP)
     force = force + np.einsum("kij,kj->ki", stiffness, translations - middle)
     finite = np.isfinite(force).all(1) & np.isfinite(stiffness).all((1, 2))
     return np.where(finite[:, None], force, 0.0), np.where(finite[:, None, None], stiffness, 0.0)
+
+
+def held_straight(robot: Robot, translations: Array) -> Array:
+    """Bending energy per length (N, n), N, of tubes just behind the plate, which holds them straight.
+
+    The elastic energy of an equilibrium leaves it out: a tube that advances releases it.
+    """
+    straight, length = (
+        np.array([getattr(tube, name) for tube in robot.tubes]) for name in ("straight_length", "length")
+    )
+    own = straight - translations
+    curved = (own > straight) & (own < length)
+    table = None if isinstance(robot, BundleRobot) else robot.assembly(translations[0]).lengthwise
+    if table is None:
+        density = [tube.bending_stiffness * tube.curvature**2 / 2 for tube in robot.tubes]
+        return np.asarray(curved * np.array(density))
+    stiffness, _, x, y, *_ = table.values(own, own)
+    return np.asarray(curved * stiffness * (x**2 + y**2) / 2)
 
 
 def yielded(
