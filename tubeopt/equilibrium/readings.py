@@ -1,8 +1,8 @@
 """Joint values of the model from the drive readings of a robot, and back, with compliant carriages.
 
 The tubes push a carriage back with F = dE/dz, the derivative of their elastic energy with respect to its translation z.
-The energy counts curved parts that the plate holds straight behind it. A carriage of compliance c with the reading z0 is
-at z = z0 - c F(z).
+The energy counts curved parts that the plate holds straight behind it. A carriage of compliance c with the reading z0
+is at z = z0 - c F(z).
 """
 
 from __future__ import annotations
