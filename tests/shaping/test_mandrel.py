@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 from tubeopt import ConcentricRobot, InputError, MoldSpec, Piece, Tube, forward_kinematics, load_robot
 from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_mandrel
 from tubeopt.shaping.materials import STEEL
-from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, mandrel_gcode, solid_off_curve
+from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, exits_of, mandrel_gcode, slot_depths, solid_off_curve
 from tubeopt.shaping.mold.mold import chosen_tubes
 from tubeopt.show.fabrication_report import MandrelReport
 from tubeopt.show.plots.mold import plot_mandrel
@@ -217,3 +217,26 @@ def test_the_mold_of_a_robot_leaves_space_curves_out() -> None:
     assert chosen_tubes(robot) == ([2], ["tube 1 is a space curve and takes a mandrel: tubeopt mold mandrel"])
     with pytest.raises(InputError, match="no tube of this robot is planar"):
         chosen_tubes(ConcentricRobot([TUBES["left"]]))
+
+
+def test_sheet_and_solid_of_a_block_agree_on_its_slot(made: tuple[Tube, Mandrel, Path]) -> None:
+    """Rays from above meet the floor of the groove at the depths of the sheet; an end that rises has a notch."""
+    _, mandrel, out = made
+    if isinstance(mandrel.body, Cylinder):
+        return
+    mesh, w, height = trimesh.load_mesh(out / "mandrel.stl"), mandrel.winding, mandrel.body.size[2]
+    points = w.points[2:-2:5]
+    above = np.column_stack([1e3 * points[:, :2], np.full(len(points), 1e3 * height + 1)])
+    hits, rays, _ = mesh.ray.intersects_location(above, np.tile([0.0, 0.0, -1.0], (len(above), 1)))
+    floors = [1e3 * height - hits[rays == k, 2].max() for k in range(len(points))]
+    least, greatest = (1e3 * depth for depth in slot_depths(mandrel))
+    assert min(floors) <= least + 0.3
+    assert max(floors) == pytest.approx(greatest, abs=0.3)
+    for end in exits_of(mandrel):
+        inside = (end.point[:2] > 1e-3) & (end.point[:2] < np.array(mandrel.body.size[:2]) - 1e-3)
+        assert end.upper == (end.point[2] == pytest.approx(height, abs=2e-4) and inside.all())
+        assert end.upper <= (end.notch is not None)
+    rising = exits_of(plan_mandrel(load_robot("example_pieces").tubes[0]))
+    assert [end.upper for end in rising] == [False, True]
+    notched = any(end.notch is not None for end in exits_of(mandrel))
+    assert ("with a notch" in " ".join(mandrel_steps(mandrel))) == notched

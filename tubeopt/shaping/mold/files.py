@@ -116,6 +116,8 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
         for groove in mold.grooves
     ]
     if part == "lid":
+        mirror = "; mirror it to mill the lower face, as lid_holes.pdf and the programs do" if mold.slots else ""
+        lines.append(f"seen from above, as it lies on the closed mold{mirror}")
         lines += [
             f"slot for a thermocouple in the lower face: {slot.mill.diameter * TO_MM:g} wide, "
             f"{slot.depth * TO_MM:g} deep, {slot.centreline.length * TO_MM:.1f} mm long"

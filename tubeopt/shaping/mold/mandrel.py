@@ -165,6 +165,18 @@ class Block:
     """Lengths along x, y and z, m."""
 
 
+@dataclass(frozen=True)
+class Exit:
+    """Place where a straight end of the tube leaves a printed block."""
+
+    point: Array
+    """Centreline there (3,), m."""
+    upper: bool
+    """True if it leaves through the upper face, where a flat lid has an opening."""
+    notch: Array | None
+    """Ends (2, 2) of the opening from above, m: it runs to the edge of the block. None without one."""
+
+
 class MandrelStatus(StatusEnum):
     """Status of a planned mandrel; every value reads as a sentence."""
 
@@ -281,6 +293,32 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
         checks=tuple(checks),
         remarks=(*_remarks(tube, spec, turned), *tool_remarks, *material_remarks(spec)),
     )
+
+
+def exits_of(mandrel: Mandrel) -> tuple[Exit, Exit]:
+    """Places where both ends of the tube leave the block of a printed mandrel."""
+    assert isinstance(mandrel.body, Block)
+    size, fine = np.array(mandrel.body.size), mandrel.winding.lengthened(mandrel.body.size[2], FINE)
+    found = []
+    for way in (fine.points[fine.bend.start :: -1], fine.points[fine.bend.stop - 1 :]):
+        beside = ((way[:, :2] < 0) | (way[:, :2] > size[:2])).any(axis=1)
+        edge, above = int(np.argmax(beside)), way[:, 2] > size[2]
+        upper = bool(above[:edge].any())
+        # The upper side of the tube is as far above its centreline as the groove's walls are steep.
+        rise = abs(way[1, 2] - way[0, 2]) / float(np.linalg.norm(way[1] - way[0]))
+        lifted = way[:, 2] + 0.5 * mandrel.tube.outer_diameter / math.sqrt(1 - rise**2) > size[2]
+        notch = way[[int(np.argmax(lifted)), edge], :2] if lifted[:edge].any() else None
+        found.append(Exit(way[int(np.argmax(above)) if upper else edge], upper, notch))
+    return found[0], found[1]
+
+
+def slot_depths(mandrel: Mandrel) -> tuple[float, float]:
+    """Least depth (m) of the groove's floor in the bend below the upper face of a printed block, and the greatest."""
+    assert isinstance(mandrel.body, Block)
+    w = mandrel.winding
+    slope = np.sqrt(1 - w.tangents[:, 2] ** 2)
+    depth = mandrel.body.size[2] - w.points[:, 2] + 0.5 * mandrel.width / slope
+    return float(depth[w.bend].min()), float(depth.max())
 
 
 def predict_wound_tube(mandrel: Mandrel, *, springback: Springback | None = None) -> Tube:

@@ -14,7 +14,7 @@ from ...robots.tubes import Tube
 from ...shaping.mold.files import draw_plate, halves
 from ...shaping.mold.gcode import slot_paths
 from ...shaping.mold.groove import Arc, outline_of
-from ...shaping.mold.mandrel import Cylinder, Mandrel, rotation_table
+from ...shaping.mold.mandrel import Cylinder, Mandrel, exits_of, rotation_table
 from ...shaping.mold.mold import Groove, Mold, clamp_corners
 from ...shaping.mold.ranking import MAX_LEAK, MaterialRating
 from ...shaping.mold.springback import Calibration
@@ -256,8 +256,13 @@ def draw_plan(side: Axes, mandrel: Mandrel) -> None:
         side.legend(loc="best")
         return
     size = np.array(body.size) * TO_MM
-    side.plot(*(w.points[:, :2] * TO_MM).T, color=INK, lw=1.0, ls=(0, (4, 2)), label="leads, tangent")
     points = w.points[w.bend] * TO_MM
+    for end, point in zip(exits_of(mandrel), (points[0], points[-1]), strict=True):
+        line = np.array([point[:2], end.point[:2] * TO_MM])
+        side.plot(*line.T, color=INK, lw=1.0, ls=(0, (4, 2)))
+        if end.upper:
+            side.plot(*line[1], "x", color=INK, ms=5, zorder=4)
+            side.annotate("exit", line[1], (3, 3), textcoords="offset points", fontsize=7, color=INK)
     drawn = side.scatter(points[:, 0], points[:, 1], c=size[2] - points[:, 2], s=6, cmap="viridis", zorder=3)
     side.plot(*np.array([(0, 0), (size[0], 0), size[:2], (0, size[1]), (0, 0)]).T, color=INK, lw=0.8)
     side.figure.colorbar(drawn, ax=side, orientation="horizontal", label="centreline below the upper face (mm)")

@@ -37,7 +37,7 @@ from ...shaping.mold.gcode import (
 )
 from ...shaping.mold.groove import Arc
 from ...shaping.mold.layout import Hole
-from ...shaping.mold.mandrel import SHANK, Cylinder, Mandrel, mandrel_cutter, mandrel_time
+from ...shaping.mold.mandrel import SHANK, Block, Cylinder, Mandrel, exits_of, mandrel_cutter, mandrel_time, slot_depths
 from ...shaping.mold.mold import PARTS, Groove, Mold, clamp_corners
 from ...shaping.tube_fabrication import TubeFabrication
 from ..page import WIDTH
@@ -57,7 +57,7 @@ ROW = 3.9
 BETWEEN = 10.0
 """Space between the drawings of base and lid, mm."""
 
-TOOL_COLUMNS = 0.0, 19.0, 56.0, 68.0, 81.0, 95.0, 108.0, 118.0, 131.0
+TOOL_COLUMNS = 0.0, 19.0, 55.0, 66.0, 78.0, 91.0, 103.0, 112.0, 123.0, 136.0
 """Columns of the table of tools, mm."""
 
 STEP_SIZES = 7.5, 6.8, 6.2, 5.6, 5.0
@@ -409,6 +409,7 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
         "cut the tube to": f"{groove.stock_length * TO_MM:.1f}",
         "mark: bend begins at / ends at": f"{groove.before_bend * TO_MM:.1f} / {end * TO_MM:.1f}",
         "plate to clamp, proximal / distal": f"{groove.gaps[0] * TO_MM:.1f} / {groove.gaps[1] * TO_MM:.1f}",
+        "tube behind the proximal clamp": f"{behind_clamp(groove) * TO_MM:.1f}",
         "cold end from the clamp": f"{groove.cold.length * TO_MM:.1f}",
         "growth / travel of the sliding clamp": f"{groove.growth * TO_MM:.2f} / {travel * TO_MM:.1f}",
         "trim, proximal / distal": f"{groove.trim[0] * TO_MM:.1f} / {groove.trim[1] * TO_MM:.1f}",
@@ -449,8 +450,8 @@ def tool_rows(mold: Mold) -> list[tuple[str, ...]]:
     return rows
 
 
-TOOL_HEADING = ("program", "tool", "rpm", "m/min", "mm/min", "plunge", "step", "depth", "min")
-"""Heading of the table of tools: cutting speed in m/min, feeds in mm/min, largest step and depth in mm."""
+TOOL_HEADING = ("program", "tool", "rpm", "m/min", "mm/min", "plunge", "step", "depth", "flutes", "min")
+"""Heading of the table of tools: cutting speed in m/min, feeds in mm/min, largest step and depth in mm, least cutting length."""
 
 
 def _tool_row(file: str, stage: Stage, depth: float, minutes: str) -> tuple[str, ...]:
@@ -458,7 +459,8 @@ def _tool_row(file: str, stage: Stage, depth: float, minutes: str) -> tuple[str,
     feed, plunge = (f"{value * TO_MM * PER_MINUTE:.0f}" for value in (stage.feed, stage.plunge))
     return (
         file, stage.tool, f"{stage.spindle * PER_MINUTE:.0f}", f"{stage.cutting_speed * PER_MINUTE:.1f}", feed,
-        "-" if stage.tool.startswith("drill") else plunge, f"{stage.step * TO_MM:g}", f"{depth * TO_MM:.1f}", minutes,
+        "-" if stage.tool.startswith("drill") else plunge, f"{stage.step * TO_MM:g}", f"{depth * TO_MM:.1f}",
+        f"{math.ceil(depth * TO_MM + 0.5)}", minutes,
     )  # fmt: skip
 
 
@@ -474,6 +476,10 @@ PIN_LENGTHS = (*range(4, 33, 2), *range(35, 101, 5))
 LEAF = 1.0
 """Thickness of a leaf of a hinge, mm (assumed)."""
 
+
+WASHER = 1.5
+"""Thickness of a slotted washer, mm: steel then bends by less than 50 MPa over the hole of a latch at the torque of a
+board."""
 
 BEARING = 2e6
 """Largest pressure of a washer on a board, Pa (assumed: boards are crushed by several MPa)."""
@@ -523,7 +529,7 @@ def mold_steps(mold: Mold) -> list[str]:
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     widening = f", then widens at 45° to {clamps.width * TO_MM:g} mm" if clamps.width > clamps.face_width else ""
     return [
-        f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm (base.dxf, lid.dxf). "
+        f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm (base.dxf, lid.dxf: from above, closed). "
         f"Add what the clamps hold: they stay {math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate. "
         f"Waste board {_waste_board(mold):g} mm. Faces flat within "
         f"{spec.groove.clearance * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
@@ -533,6 +539,8 @@ def mold_steps(mold: Mold) -> list[str]:
         f"Programs of the table in its order (for {spec.workshop.dialect}), Z = 0 on the upper "
         f"face with each tool. {cooling_text(spec.material)}. Break the edges of grooves and holes by hand"
         + (f"; cut the tabs ({shop.tab_height * TO_MM:g} mm) and file them flush." if shop.cut_out else "."),
+        "Measure each end mill, and cut a test groove: the programs aim at the lower limits of width and depth, and a "
+        "cutter under size stays below them. Then take a larger one; for the depth set Z = 0 lower.",
         f"{_fasteners(mold)}."
         + (f" {len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid." if mold.vents else ""),
         *_slot_steps(mold),
@@ -542,7 +550,7 @@ def mold_steps(mold: Mold) -> list[str]:
         *(
             (
                 f"Clamps at the distances of the table from the plate, {clamps.grip * TO_MM:g} mm of tube in each. "
-                f"Their face is {clamps.face_width * TO_MM:g} mm wide{widening}. The {fixed} one is "
+                f"Their face is {clamps.face_width * TO_MM:g} mm wide{widening}. {_jaws_text(mold)} The {fixed} one is "
                 f"fixed; the {clamps.sliding_end} one must slide outwards by the travel in the table, or the hot tube "
                 "buckles.",
                 f"Heat the bend to {degrees:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, then quench in "
@@ -558,6 +566,29 @@ def mold_steps(mold: Mold) -> list[str]:
         ),
         "Trim the ends. Scan the tube: `tubeopt mold measure SCAN.png`, then `tubeopt mold calibrate TRIALS.csv`.",
     ]
+
+
+def _jaws_text(mold: Mold) -> str:
+    """Jaws of the clamps, height of the tube above the support, and what sticks out behind them, as text."""
+    groove = mold.grooves[0]
+    diameter, behind = groove.tube.outer_diameter, behind_clamp(groove)
+    height = mold.spec.plate.thickness - groove.depth + 0.5 * diameter
+    through = (
+        f" {behind * TO_MM:.0f} mm of tube stick out behind the proximal clamp, not drawn: a through hole, and a sleeve "
+        "over the live tube."
+        if behind
+        else ""
+    )
+    return (
+        f"No jaws are drawn: two halves with a half-round groove of {diameter * TO_MM:g} mm, its axis "
+        f"{height * TO_MM:.2f} mm above the lower face of the base.{through}"
+    )
+
+
+def behind_clamp(groove: Groove) -> float:
+    """Length of tube (m) that sticks out behind the proximal clamp, where a straight part is longer than needed."""
+    held = groove.centreline.lead_in.length + groove.gaps[0] + groove.grip
+    return max(groove.before_bend - held, 0.0)
 
 
 def opening_text(mold: Mold) -> str:
@@ -617,12 +648,13 @@ def _hinge_steps(mold: Mold) -> list[str]:
     """Step, as text, that mounts hinges and latches; empty for a bolted lid."""
     if mold.hinge is None:
         return []
-    spec = mold.spec.hinge
+    spec, bolt = mold.spec.hinge, mold.spec.plate.bolt_diameter
     return [
         "Hinges: the strip cut off the lid stays on the base. One leaf on it, one on the lid, pin over the cut, screws "
         f"{spec.screw_distance * TO_MM:g} mm apart and {spec.reach * TO_MM:g} mm from the pin, heads below, nuts on "
         "the leaves. Latches: bolts from below through the base; on the lid a slotted washer of at least "
-        f"{1.6e3 * spec.latch_diameter:.0f} mm and a nut. Nuts pass through the holes of the lid.",
+        f"{1.6e3 * spec.latch_diameter:.0f} mm, {WASHER:g} mm thick, slot {bolt * TO_MM:g} mm, and a nut, "
+        f"{torque_text(bolt, mold.spec.material)}. Nuts pass through the holes of the lid.",
     ]
 
 
@@ -652,6 +684,11 @@ def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
         numbers[f"radius in a groove {off * TO_MM:g} mm too deep or shallow"] = f"{low:.2f} to {high:.2f}"
     else:
         numbers["block"] = " × ".join(f"{size * TO_MM:.1f}" for size in body.size)
+        least, greatest = (depth * TO_MM for depth in slot_depths(mandrel))
+        numbers["slot above the groove, width / depth of its floor"] = (
+            f"{mandrel.width * TO_MM:.3f} / {least:.0f} to {greatest:.0f}"
+        )
+        numbers["height with the straight ends"] = f"{overall_height(mandrel) * TO_MM:.0f}"
     lead = (mandrel.free_length - held.curved_length) / 2 + mandrel.spec.clamps.grip
     start = max(lead, tube.straight_length)
     end = start + held.curved_length
@@ -686,9 +723,14 @@ def mandrel_steps(mandrel: Mandrel) -> list[str]:
         size = " × ".join(f"{length * TO_MM:.2f}" for length in body.size)
         steps = [
             "Print the block (mandrel.stl, mm) with its open side up; clear the slot of powder and supports. Measure "
-            f"it when fired: {size} mm. A block smaller by 1 % gives radii smaller by 1 %: scale the print.",
+            f"it when fired: {size} mm. A block smaller by 1 % gives radii smaller by 1 %: scale the print. The groove "
+            f"is drawn at its least width: a wire of {(mandrel.width - WIRE_PLAY) * TO_MM:.2f} mm must pass all of it; "
+            "otherwise print it wider.",
+            f"The slot is {mandrel.width * TO_MM:.2f} mm wide and up to {slot_depths(mandrel)[1] * TO_MM:.0f} mm deep: "
+            f"before firing, clear it by air and a strip of sheet, at most {(mandrel.width - STRIP_PLAY) * TO_MM:.2f} "
+            "mm thick. The same strip presses the tube to the floor.",
         ]
-        fixing = "ceramic cord pressed into the slot above it, and a flat lid"
+        fixing = f"ceramic cord pressed into the slot by the strip, and {_lid_text(mandrel)}"
     return [
         *steps,
         f"Cut the tube and mark the bend. Wind it into the groove, marks on the ends of the bend; fix it by {fixing}, "
@@ -699,6 +741,31 @@ def mandrel_steps(mandrel: Mandrel) -> list[str]:
         "tube is not known.",
         "Trim the ends. Measure the tube; `tubeopt mold mandrel` prints the expected tube.",
     ]
+
+
+WIRE_PLAY, STRIP_PLAY = 0.02e-3, 0.15e-3
+"""Play of a wire that gauges a printed groove, and of a strip that presses a tube into it, m (assumed)."""
+
+
+def overall_height(mandrel: Mandrel) -> float:
+    """Height (m) that a printed mandrel with the straight ends of its tube takes in a furnace."""
+    w, straight = mandrel.winding, mandrel.tube.straight_length
+    lead = (mandrel.free_length - mandrel.held.curved_length) / 2 + mandrel.spec.clamps.grip
+    z = w.with_leads(max(lead, straight), lead).points[:, 2]
+    return float(max(z.max(), mandrel.body.size[2] if isinstance(mandrel.body, Block) else 0.0) - min(z.min(), 0.0))
+
+
+def _lid_text(mandrel: Mandrel) -> str:
+    """Lid of a printed mandrel, as text: with an opening where an end of the tube leaves the upper face."""
+    opened = [
+        "from X {:.0f}, Y {:.0f} to the edge at X {:.0f}, Y {:.0f}".format(*(end.notch * TO_MM).ravel())
+        for end in exits_of(mandrel)
+        if end.notch is not None
+    ]
+    if not opened:
+        return "a flat lid"
+    wide = math.ceil(2 * mandrel.width * TO_MM)
+    return f"a flat lid with a notch {wide} mm wide for the end that rises out, {' and '.join(opened)}"
 
 
 def mandrel_cooling(mandrel: Mandrel) -> str:
