@@ -451,7 +451,9 @@ def tool_rows(mold: Mold) -> list[tuple[str, ...]]:
 
 
 TOOL_HEADING = ("program", "tool", "rpm", "m/min", "mm/min", "plunge", "step", "depth", "flutes", "min")
-"""Heading of the table of tools: cutting speed in m/min, feeds in mm/min, largest step and depth in mm, least cutting length."""
+"""Heading of the table of tools: cutting speed in m/min, feeds in mm/min, largest step, depth and least cutting length
+in mm.
+"""
 
 
 def _tool_row(file: str, stage: Stage, depth: float, minutes: str) -> tuple[str, ...]:
@@ -529,7 +531,8 @@ def mold_steps(mold: Mold) -> list[str]:
     fixed = "distal" if clamps.sliding_end == "proximal" else "proximal"
     widening = f", then widens at 45° to {clamps.width * TO_MM:g} mm" if clamps.width > clamps.face_width else ""
     return [
-        f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm (base.dxf, lid.dxf: from above, closed). "
+        f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm (base.dxf, "
+        "lid.dxf: from above, closed). "
         f"Add what the clamps hold: they stay {math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate. "
         f"Waste board {_waste_board(mold):g} mm. Faces flat within "
         f"{spec.groove.clearance * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
@@ -574,8 +577,8 @@ def _jaws_text(mold: Mold) -> str:
     diameter, behind = groove.tube.outer_diameter, behind_clamp(groove)
     height = mold.spec.plate.thickness - groove.depth + 0.5 * diameter
     through = (
-        f" {behind * TO_MM:.0f} mm of tube stick out behind the proximal clamp, not drawn: a through hole, and a sleeve "
-        "over the live tube."
+        f" {behind * TO_MM:.0f} mm of tube stick out behind the proximal clamp, not drawn: a through hole, and a "
+        "sleeve over the live tube."
         if behind
         else ""
     )
