@@ -11,6 +11,7 @@ import numpy as np
 
 from ...errors import InputError, choice
 from ...files.field_metadata import POSITIVE, OneOf, check_fields, form, key, unit
+from ...files.units import TO_MM
 from ...robots.tubes import Tube
 from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, digits, short_rise, stop_current
 from ..heating.plan import HeatingPlan
@@ -66,7 +67,7 @@ CLAMP_RESERVE = 30.0
 HOT_TUBE = 560.0
 """Tube when the switch shorts, degC, to choose the PWM frequency: above the stop limit of a window up to 550."""
 
-PULSE_FACTORS, TIMING_CAPACITOR = ((2.0, 0.55), (5.0, 0.45)), 1e-6
+PULSE_FACTORS, TIMING_CAPACITOR = ((2.0, 0.55), (5.0, 0.45)), 470e-9
 """Time of a 74HC123 over resistor times capacitor at a supply, V (NXP, Rev. 9, 2015), and its film capacitor, F."""
 
 E24 = (
@@ -195,9 +196,13 @@ def timing_resistor(wiring: Wiring, frequency: float) -> float:
     return min((value * decade for value in (*E24, 10.0)), key=lambda value: abs(math.log(value / desired)))
 
 
-def clamp_voltage(wiring: Wiring) -> float:
-    """Voltage (V) of the Zener diode at the input of the gate: below the supply of its logic."""
-    return min(wiring.known.reference, 4.7)
+GATE_HIGH = (2.0, 1.5), (4.5, 3.15), (6.0, 4.2)
+"""Largest rising threshold of a 74HC132, V, at its supply, V (data sheet of NXP, from memory)."""
+
+
+def gate_threshold(wiring: Wiring) -> float:
+    """Voltage (V) that the gate takes as high at the supply of its logic, whatever the chip."""
+    return float(np.interp(wiring.known.reference, *np.array(GATE_HIGH).T))
 
 
 def divider(wiring: Wiring, battery: Battery) -> float:
@@ -272,8 +277,8 @@ CURRENT_DENSITY = 6.0
 Assumed, on the safe side of IEC 60364-5-52 for single cores up to 25 mm2.
 """
 
-CONTROL = 1.0
-"""Rating of the control fuse, A."""
+CONTROL, COIL = 1.0, 0.5
+"""Rating of the control fuse, and largest current of the coil of the cut-out when it pulls in, A."""
 
 THIN = (0.25, 0.5)
 """Sections of the wires to the pins, and of those behind the control fuse, mm2 (IEC 60228; chosen for strength)."""
@@ -351,7 +356,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     hall = f"Hall, {HALL_SPAN / slope:.0f} A, {1e3 * slope:g} mV/A, {wiring.current_zero:g} V at no current; at 5 V of "
     hall += "the supply, ground at the board"
     # A sensor of 5 V gives up to 5 V in a short.
-    hall += f"; 1 kohm to the pin, {reference:g} V Zener diode there" if low_volt else ""
+    hall += f"; 1 kohm to the pin, Schottky diode from there to {reference:g} V, bar there" if low_volt else ""
     logic = f"5 V regulator for the board (pin {board.feed})"
     logic += ", its 3.3 V for the logic" if low_volt else " and the logic"
     driving = "battery" if charged <= MOST_COIL else "12 V regulator"
@@ -360,9 +365,24 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     overheats = avalanche * circuit.pwm_frequency > TVS_HEAT
     monostable = 1e3 * MONOSTABLE_PERIODS / circuit.pwm_frequency
     timing = timing_resistor(wiring, circuit.pwm_frequency)
+    battery, clamps = rig.battery, rig.clamps
+    metal = ", as aluminium" if 850 <= clamps.heat_capacity <= 950 else ""
+    flexible = f"slides by {plan.growth * TO_MM:.1f} mm and more"
+    diode_at = (
+        "from the 5 V regulator to VSYS (the board has its own from USB)"
+        if board.name == "pico"
+        else ("in its 5 V line towards the board")
+    )
     return (
-        Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; melts above {safety.least_melting:.0f} A2s, or "
-             f"pulses of {peak:.0f} A age it; breaks the {short / 1e3:.2g} kA DC of a shorted battery",
+        Part("battery", f"lead-acid, {battery.capacity / 3600:g} Ah, {1e3 * battery.internal_resistance:g} mohm, "
+             f"{battery.open_circuit[-1][1]:.1f} V when full",
+             "as in the rig file: another one needs another plan"),
+        Part("clamps", f"2, {1e3 * clamps.mass:g} g each, {1e4 * clamps.area:g} cm2 in air, of "
+             f"{clamps.heat_capacity:g} J/(kg K){metal}; a flexible lead to the sliding one",
+             f"as in the rig file; the sliding one {flexible}"),
+        Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; pre-arcing I2t of at least "
+             f"{safety.least_melting:.0f} A2s, or pulses of {peak:.0f} A age it; breaks {short / 1e3:.2g} kA at "
+             f"{math.ceil(charged)} V DC",
              f"{current}; backs up the cut-out: {safety.withstood:.0f} A2s ({1e3 * safety.budget:.0f} ms of a short) "
              "take the tube to 650 degC"),
         Part("main switch", f"battery isolator, lockable, {rated} A DC, behind the fuse",
@@ -371,18 +391,22 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"thin wires do not survive {fuse} A"),
         Part("supply", f"{logic}; {driving} for driver and coil; behind the control fuse",
              "USB alone drives neither coil nor gate"),
-        Part("cut-out", f"contactor or high-side switch, normally open, {rated} A DC, opens within "
-             f"{1e3 * circuit.cutout_opening:g} ms; across a coil a Zener diode of "
-             f"{coil_zener(voltage, charged):g} V, 5 W, in series "
-             "with a diode: bars together, Zener at the coil's plus",
+        Part("cut-out", f"contactor, normally open, {rated} A DC, coil 12 V, at most {COIL:g} A at pull-in, without "
+             f"economizer; opens within {1e3 * circuit.cutout_opening:g} ms, measured with a Zener diode of "
+             f"{coil_zener(voltage, charged):g} V, 5 W, across the coil in series with a diode: bars together, Zener "
+             "at the coil's plus. Or two MOSFETs back to back, without these diodes: one does not block a reversed "
+             "battery",
              f"shorted switch: tube at {safety.peak:.0f} degC after {1e3 * safety.delay:.0f} ms, 650 degC after "
              f"{1e3 * safety.budget:.0f} ms"),
         Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %): {timing / 1e3:g} kohm, "
-             f"{1e6 * TIMING_CAPACITOR:g} uF film, at {reference:g} V; 100 nF from pin 16 to 8",
+             f"{1e9 * TIMING_CAPACITOR:g} nF film, 1N4148 from pin 15 to 16, bar at 16; at {reference:g} V; 100 nF "
+             "from pin 16 to 8",
              "a shorted switch keeps the drain low, a dead board sends no tick: both open the cut-out"),
         Part("gate", f"74HC132 at {reference:g} V, of {board.pin('tick')} and the drain; 10 kohm at the drain's lug, "
-             f"{clamp_voltage(wiring):g} V Zener diode at its input, 10 kohm from the tick to ground; 100 nF from "
-             "pin 14 to 7", "retriggers the monostable while the drain is high; a board in reset sends no tick"),
+             f"Schottky diode (BAT54) from its input to {reference:g} V, bar there; 10 kohm from the tick to ground; "
+             "100 nF from pin 14 to 7",
+             "retriggers the monostable while the drain is high; a board in reset sends no tick; above "
+             f"{gate_threshold(wiring):.2f} V every chip reads high"),
         Part("coil switch", f"transistor, on at {2.5 if low_volt else 4.5:g} V of gate, {voltage} V, {CONTROL:g} A, "
              "10 kohm from gate to source, between coil and ground",
              "the monostable drives no coil; without it the coil is off"),
@@ -415,7 +439,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("divider", f"{upper} kohm, at the wire behind the cut-out, {LOWER / 1e3:g} kohm and 1 nF to ground",
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, f"at the middle of the curved part, which is at {rest:.1f} V between pulses"),
-        Part("isolation", "USB isolator between computer and board, a Schottky diode in its 5 V line towards the board",
+        Part("isolation", f"USB isolator between computer and board, a Schottky diode {diode_at}",
              "the battery's minus is the board's ground; two supplies of 5 V meet at the board"),
         Part("board", ", ".join(filter(None, (board.title, board.core))), "runs the sketch"),
     )  # fmt: skip

@@ -12,7 +12,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...runs.heating_study import ClosedLoopHeating
-from ...shaping.firmware.boards import TIMING_CAPACITOR, Wiring, clamp_voltage, parts_list, timing_resistor
+from ...shaping.firmware.boards import TIMING_CAPACITOR, Wiring, parts_list, timing_resistor
 from ...shaping.heating.calibration import RigFit
 from ...shaping.heating.oven import OvenPlan
 from ...shaping.heating.plan import HeatingPlan
@@ -284,22 +284,26 @@ DIODE, DIODE_SIZE = (0.715, 0.87), 0.022
 """Centre and half width of the diode symbol; its bar is towards the battery's plus."""
 
 
-WIRING_NOTES = """The monostable closes the cut-out while ticks meet a high drain: a shorted
-switch or a dead board opens it. The main switch cuts all off. Stop, thermal
-switch and coil switch are in the coil's current. The 10 kohm sit at the drain's
-lug: no wire beyond them carries its peaks. 1 uF stands at the driver's pins.
-There is one ground: battery, driver and board are joined at the MOSFET's
-source. Current sensor, divider and thermometer take theirs from the board.
-Between pulses the tube is at the battery's plus: a bead that touches its metal
-would put that on the converter. A coat of ceramic cement or a foil of mica
-insulates it. Test it before the first tube, with a lamp of 12 V in its place
-and a wire from drain to source: a shorted switch. At a start the lamp must stay
-dark, and the board report "no voltage"."""
+WIRING_NOTES = (
+    "The monostable closes the cut-out while ticks meet a high drain: a shorted switch or a dead board "
+    "opens it. The main switch cuts all off. Stop, thermal switch and coil switch are in the coil's "
+    "current. The 10 kohm sit at the drain's lug: no wire beyond them carries its peaks. 1 uF stands at "
+    "the driver's pins. There is one ground: battery, driver and board are joined at the MOSFET's source. "
+    "Current sensor, divider and thermometer take theirs from the board.",
+    "Between pulses the tube is at the battery's plus: a junction or leg that touches its metal would put "
+    "that on the converter. A strip of mica under the whole slot insulates junction and legs.",
+    "Before the first tube, test a shorted switch: a lamp of 12 V in place of the tube, a wire from drain "
+    'to source, main switch on. Pass: the lamp stays dark at a start, and the board reports "no voltage". '
+    "The test of every day (--test-cutout) is another one: the tube in the clamps, no wire.",
+)
 """Notes beside the drawing."""
 
+LETTERS = 84
+"""Letters of a line beside the drawing."""
+
 LOGIC_WIRES: tuple[Path, ...] = (
-    ((0.06, 0.27), (0.085, 0.27)), ((0.155, 0.27), (0.30, 0.27)), ((0.195, 0.27), (0.195, 0.18)),
-    ((0.195, 0.12), (0.195, 0.03)), ((0.10, 0.22), (0.30, 0.22)), ((0.262, 0.22), (0.262, 0.14)),
+    ((0.06, 0.27), (0.085, 0.27)), ((0.155, 0.27), (0.30, 0.27)), ((0.195, 0.27), (0.195, 0.31)),
+    ((0.195, 0.36), (0.195, 0.39)), ((0.10, 0.22), (0.30, 0.22)), ((0.262, 0.22), (0.262, 0.14)),
     ((0.262, 0.09), (0.262, 0.03)), ((0.40, 0.245), (0.50, 0.245)), ((0.35, 0.30), (0.35, 0.39)),
     ((0.35, 0.19), (0.35, 0.03)), ((0.50, 0.30), (0.465, 0.30), (0.465, 0.39)), ((0.53, 0.33), (0.53, 0.39)),
     ((0.53, 0.13), (0.53, 0.03)), ((0.66, 0.29), (0.72, 0.29)), ((0.72, 0.39), (0.72, 0.37)),
@@ -307,31 +311,31 @@ LOGIC_WIRES: tuple[Path, ...] = (
     ((0.762, 0.16), (0.762, 0.12)), ((0.762, 0.075), (0.762, 0.03)), ((0.85, 0.12), (0.85, 0.03)),
     ((0.85, 0.20), (0.85, 0.24)), ((0.85, 0.29), (0.85, 0.33)), ((0.85, 0.385), (0.85, 0.41)),
     ((0.85, 0.22), (0.95, 0.22), (0.95, 0.235)), ((0.95, 0.295), (0.95, 0.31), (0.85, 0.31)),
-    ((0.15, 0.03), (0.90, 0.03)), ((0.33, 0.39), (0.74, 0.39)),
+    ((0.15, 0.03), (0.90, 0.03)), ((0.195, 0.39), (0.74, 0.39)),
 )  # fmt: skip
 """Wires of the monostable; the last two are ground and supply."""
 
 LOGIC_JOINTS = (
     (0.195, 0.27), (0.262, 0.22), (0.72, 0.29), (0.762, 0.16), (0.85, 0.22), (0.85, 0.31), (0.35, 0.39), (0.465, 0.39),
-    (0.53, 0.39), (0.72, 0.39), (0.195, 0.03), (0.262, 0.03), (0.35, 0.03), (0.53, 0.03), (0.762, 0.03), (0.85, 0.03),
+    (0.53, 0.39), (0.72, 0.39), (0.262, 0.03), (0.35, 0.03), (0.53, 0.03), (0.762, 0.03), (0.85, 0.03),
 )  # fmt: skip
 
 
 def _draw_logic(axes: Axes, answer: ClosedLoopHeating) -> None:
     """Monostable with its gate, supply, values and pins, and the coil that it holds."""
     wiring = answer.wiring
-    supply, zener = f"{wiring.known.reference:g} V", f"{clamp_voltage(wiring):g} V\nZener"
+    supply = f"{wiring.known.reference:g} V"
     resistor = f"{timing_resistor(wiring, answer.frequency) / 1e3:g} kohm"
     axes.set_axis_off()
     axes.set(xlim=(0, 1), ylim=(0.0, 0.46))
     boxes: dict[str, Box] = {
         "10 kohm#drain": (0.085, 0.25, 0.07, 0.04),
-        zener: (0.165, 0.12, 0.06, 0.06),
+        "BAT54,\nbar up": (0.16, 0.31, 0.07, 0.05),
         "10 kohm#tick": (0.235, 0.09, 0.058, 0.05),
         "74HC132": (0.30, 0.19, 0.10, 0.11),
         "74HC123": (0.50, 0.13, 0.16, 0.20),
         resistor: (0.685, 0.325, 0.07, 0.045),
-        f"{1e6 * TIMING_CAPACITOR:g} uF": (0.69, 0.235, 0.06, 0.045),
+        f"{1e9 * TIMING_CAPACITOR:g} nF": (0.69, 0.235, 0.06, 0.045),
         "10 kohm#gate": (0.73, 0.075, 0.064, 0.045),
         "coil\nswitch": (0.81, 0.12, 0.08, 0.08),
         "coil": (0.82, 0.24, 0.06, 0.05),
@@ -352,9 +356,9 @@ def _draw_logic(axes: Axes, answer: ClosedLoopHeating) -> None:
         axes.text(x, y, text, ha=side, **pin)
     for x, y, text, side in (
         (0.055, 0.27, "drain", "right"), (0.095, 0.22, f"{wiring.known.pin('tick')}, tick", "right"),
-        (0.325, 0.39, supply, "right"), (0.85, 0.425, "12 V", "center"), (0.14, 0.03, "ground", "right"),
+        (0.185, 0.39, supply, "right"), (0.85, 0.425, "12 V", "center"), (0.14, 0.03, "ground", "right"),
         (0.36, 0.085, "100 nF from 14 to 7;\n4, 5, 9, 10, 12,\n13 to ground", "left"),
-        (0.54, 0.075, "100 nF from 16 to 8;\n9, 10, 11 to ground", "left"),
+        (0.54, 0.075, "100 nF from 16 to 8;\n9, 10, 11 to ground;\n1N4148 from 15 to 16", "left"),
     ):  # fmt: skip
         axes.text(x, y, text, ha=side, fontsize=7, color=INK, va="center")
     axes.text(0.0, 0.445, "monostable, in detail (numbers: pins of its chips)", fontsize=8, color=INK, va="center")
@@ -382,9 +386,10 @@ def plot_wiring(answer: ClosedLoopHeating) -> Figure:
         text = figure.add_subplot(grid[:, 1])
         text.set_axis_off()
         lines = [f"{part.name}: {part.rating}" for part in parts_list(answer.plan, answer.wiring)]
-        rows = [textwrap.fill(line, 66, subsequent_indent="    ") for line in lines]
-        text.text(0, 0.98, "\n".join(rows), fontsize=7, va="top", color=INK, linespacing=1.4)
-        text.text(0, 0.0, WIRING_NOTES, fontsize=7, va="bottom", color=INK, linespacing=1.4)
+        rows = [textwrap.fill(line, LETTERS, subsequent_indent="    ") for line in lines]
+        notes = [textwrap.fill(note, LETTERS) for note in WIRING_NOTES]
+        text.text(0, 1.0, "\n".join(rows), fontsize=6.6, va="top", color=INK, linespacing=1.35)
+        text.text(0, 0.0, "\n".join(notes), fontsize=6.6, va="bottom", color=INK, linespacing=1.35)
     outer, inner = (size * TO_MM for size in (answer.plan.tube.outer_diameter, answer.plan.tube.inner_diameter))
     return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring for a tube of {outer:g} / {inner:g} mm")
 
@@ -441,7 +446,7 @@ def _draw_wires(axes: Axes, wiring: Wiring) -> None:
         (((0.435, 0.66), (0.435, 0.61)), "", (0.0, 0.0)),
         (((0.45, 0.45), (0.45, 0.52)), "", (0.0, 0.0)),
         (((0.43, 0.35), (0.43, 0.16)), f"{pin('tick')},\ntick", (0.435, 0.19)),
-        (((0.46, 0.35), (0.46, 0.31), (0.4, 0.31), (0.4, 0.16)), f"{wiring.known.reference:g} V", (0.373, 0.3)),
+        (((0.46, 0.35), (0.46, 0.31), (0.4, 0.31), (0.4, 0.16)), f"{wiring.known.reference:g} V", (0.361, 0.3)),
         (((0.87, 0.585), (0.84, 0.585)), "", (0.0, 0.0)),
         (((0.765, 0.585), (0.545, 0.585), (0.545, 0.4), (0.49, 0.4)), "drain high", (0.6, 0.592)),
         (((0.97, 0.16), (0.97, 0.69), (0.79, 0.69), (0.775, 0.69)), "on the tube", (0.885, 0.7)),
