@@ -370,6 +370,7 @@ def test_the_monostable_is_drawn_as_it_is_listed(board: str, factor: float) -> N
     figure = plot_wiring(ClosedLoopHeating(plan(), led(), wiring, frequency))
     drawn = [text.get_text() for text in figure.axes[1].texts]
     figure.set_dpi(200)
+    figure.set_layout_engine("constrained")
     figure.draw_without_rendering()
     listed, notes = (text.get_window_extent() for text in figure.axes[2].texts)
     assert listed.y0 > notes.y1

@@ -391,8 +391,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"thin wires do not survive {fuse} A"),
         Part("supply", f"{logic}; {driving} for driver and coil; behind the control fuse",
              "USB alone drives neither coil nor gate"),
-        Part("cut-out", f"contactor, normally open, {rated} A DC, coil 12 V, at most {COIL:g} A at pull-in, without "
-             f"economizer; opens within {1e3 * circuit.cutout_opening:g} ms, measured with a Zener diode of "
+        Part("cut-out", f"contactor, normally open, {rated} A DC; coil 12 V, at most {COIL:g} A at pull-in, no "
+             f"economizer. It opens within {1e3 * circuit.cutout_opening:g} ms, measured with a Zener diode of "
              f"{coil_zener(voltage, charged):g} V, 5 W, across the coil in series with a diode: bars together, Zener "
              "at the coil's plus. Or two MOSFETs back to back, without these diodes: one does not block a reversed "
              "battery",
