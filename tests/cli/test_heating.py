@@ -51,6 +51,9 @@ def test_a_plan_is_printed_and_saved(run: Run, tmp_path: Path) -> None:
         lines = [x for x in (tmp_path / f"{name}.csv").read_text().splitlines() if not x.startswith("#")]
         duties = [int(row["duty"]) for row in csv.DictReader(lines)]
         assert duties == header_duties((tmp_path / f"{name}.h").read_text())
+    # The file that one loads says that the heating fails more often than not.
+    for path in tmp_path.glob("schedule*.[hc]*"):
+        assert "DO NOT RUN" in path.read_text(encoding="utf-8").splitlines()[0]
     stored = json.loads((tmp_path / "plan.json").read_text())
     assert stored["duty"] == data["duty"]
     assert stored["rig_data"]["kind"] == "rig"

@@ -24,7 +24,14 @@ from tubeopt.shaping.mold.layout import open_area
 from tubeopt.shaping.mold.mold import plan_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
-from tubeopt.show.plots.sheets import heating_numbers, plot_fabrication_sheet, preparation, safety, time_line
+from tubeopt.show.plots.sheets import (
+    heating_numbers,
+    mold_steps,
+    plot_fabrication_sheet,
+    preparation,
+    safety,
+    time_line,
+)
 
 from .heating_reference import TUBE, integrate, thesis_plan, thesis_rig, with_mold
 
@@ -87,6 +94,14 @@ def test_the_sheet_tells_what_is_seen_at_the_rig() -> None:
     assert f"With pulses of {plan.rig.circuit.pwm_frequency:.4g} Hz it takes" in words
     assert any("main switch off, clamps and bolts off" in line for line in time_line(made_of(plan)))
     assert "Polarity: battery plus, fuse, main switch, cut-out, current sensor, proximal clamp" in words
+
+
+def test_the_jaws_of_a_clamp_spare_the_wall() -> None:
+    """Force by the equilibrium of half a ring: two walls carry what the jaw presses, at 100 MPa."""
+    groove = plan_mold([TUBE]).grooves[0]
+    (newton,) = re.findall(r"Press by at most (\d+) N", " ".join(mold_steps(plan_mold([TUBE]))))
+    wall = 0.5 * (TUBE.outer_diameter - TUBE.inner_diameter)
+    assert float(newton) / (2 * wall * groove.grip) == pytest.approx(100e6, rel=0.01)
 
 
 def test_the_sheet_of_an_unlikely_heating_says_do_not_run() -> None:

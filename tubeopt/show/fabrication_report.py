@@ -30,7 +30,7 @@ from ..shaping.mold.measured_tube import MeasuredTube, RadiusErrors
 from ..shaping.mold.mold import PARTS, Clamp, Groove, RobotMold, predict_tube
 from ..shaping.mold.ranking import MaterialRating
 from ..shaping.mold.springback import Calibration, Springback
-from .heat_report import HEATING, SUCCESS, FeedbackReport, HeatingReport, hold_duties, missed, success_text, unlikely
+from .heat_report import HEATING, SUCCESS, FeedbackReport, HeatingReport, hold_duties, success_text
 from .quantities import Quantity, described, of_field, with_unit, within
 from .report import Drawing, Report, drawing, grid, remarks
 
@@ -457,14 +457,32 @@ FABRICATION = described(
 
 def _faults(part: TubeParts) -> list[str]:
     """Violated conditions of a tube, as text."""
-    plan = part.heating.plan
-    fault = unlikely(part.heating.success) if plan.feasible else missed(plan)
-    return [text for text in (fault, part.fabrication.disagreement) if text]
+    return [text for text in (HeatingReport(part.heating).fault, part.fabrication.disagreement) if text]
+
+
+def _warned_mold(part: TubeParts) -> RobotMold:
+    """Mold of a tube; its sheet says not to heat in it by a schedule that is not likely to succeed."""
+    fault, mold = HeatingReport(part.heating).fault, part.mold.mold
+    return (
+        part.mold
+        if not fault
+        else replace(part.mold, mold=replace(mold, remarks=(f"do not heat by current yet: {fault}", *mold.remarks)))
+    )
+
+
+def _undecided(part: TubeParts) -> list[str]:
+    """Remark on a probability that may be below the required one, by its interval."""
+    success = part.heating.success
+    if success is None or not success.sensor or not success.interval[0] < success.required <= success.interval[1]:
+        return []
+    return [
+        f"whether {100 * success.required:.0f} % of rigs succeed is not decided by {success.samples}: more --samples"
+    ]
 
 
 def _of_tube(part: TubeParts) -> dict[str, Report[Any]]:
     """Reports on one tube by their folder."""
-    reports: dict[str, Report[Any]] = {"mold": MoldReport(part.mold), "heating": HeatingReport(part.heating)}
+    reports: dict[str, Report[Any]] = {"mold": MoldReport(_warned_mold(part)), "heating": HeatingReport(part.heating)}
     return reports if part.led is None else reports | {"firmware": FeedbackReport(part.led)}
 
 
@@ -492,7 +510,7 @@ class FabricationReport(Report[Fabrication]):
                 )
             )
             disagreement = [] if fabrication.agreed else [fabrication.disagreement]
-            of_tube = *fabrication.remarks, *plan.concerns, *disagreement
+            of_tube = *fabrication.remarks, *_undecided(part), *plan.concerns, *disagreement
             notes += [f"tube {part.number}: {note}" for note in of_tube]
             notes += [f"tube {part.number}: what would help: {cure.change}" for cure in plan.cures]
         columns = ("tube", "window", "curved part", "duty", "heating", "mold", "leads", "between clamps")
@@ -519,7 +537,11 @@ class FabricationReport(Report[Fabrication]):
             title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
             made = replace(part.fabrication, heating=part.heating.plan)
             success, faults = success_text(part.heating.success), _faults(part)
-            plot_fabrication_sheet(made, folder / "sheet.pdf", title=title, success=success, faults=faults)
+            equal = [text for text in self.answer.left_out if f"equal to tube {part.number} " in text]
+            notes = [*equal, *part.fabrication.remarks, *_undecided(part)]
+            plot_fabrication_sheet(
+                made, folder / "sheet.pdf", title=title, success=success, faults=faults, remarks=notes
+            )
             paths.append(folder / "sheet.pdf")
             tube, groove = part.fabrication.tube, part.fabrication.groove
             if not tube.pieces:  # one radius is that of one arc

@@ -277,23 +277,28 @@ class HeatingReport(Report[Heating]):
 
     def save(self, directory: Path) -> list[Path]:
         """Write the plan's schedule.csv, schedule.h and plan.json, and a table and a header for every charge."""
-        paths = _save_schedule(self.answer.plan, directory, "schedule")
+        paths = _save_schedule(self.answer.plan, directory, "schedule", self.fault)
         for table in self.answer.tables:
-            paths += _save_schedule(table, directory, f"schedule_{table.rig.battery.voltage:.2f}V")
+            paths += _save_schedule(table, directory, f"schedule_{table.rig.battery.voltage:.2f}V", self.fault)
         # With the rig, the schedule can be simulated again from the file.
         data = self.record() | {"rig_data": rig_to_dict(self.answer.plan.rig)}
         write_text(directory / self.file, to_text(data))
         return [*paths, directory / self.file]
 
     def pictures(self) -> dict[str, Drawing]:
-        return {"heating": drawing("heating.plot_heating", self.answer.plan, band=self.answer.band)}
+        return {
+            "heating": drawing("heating.plot_heating", self.answer.plan, band=self.answer.band, stop=bool(self.fault))
+        }
+
+    @property
+    def fault(self) -> str:
+        """Reason not to run the plan, as text; "" for a plan that is likely to succeed."""
+        return unlikely(self.answer.success) if self.answer.plan.feasible else missed(self.answer.plan)
 
     def conclude(self) -> None:
         """Raise SolveError if the plan is infeasible, or if most uncertain rigs miss the window."""
-        if not self.answer.plan.feasible:
-            raise SolveError(missed(self.answer.plan))
-        if message := unlikely(self.answer.success):
-            raise SolveError(message)
+        if self.fault:
+            raise SolveError(self.fault)
 
 
 def missed(plan: HeatingPlan) -> str:
@@ -304,11 +309,11 @@ def missed(plan: HeatingPlan) -> str:
     return f"{window}{':' if misses else ' within the limits:'} {'; '.join((*misses, *plan.broken))}"
 
 
-def _save_schedule(plan: HeatingPlan, directory: Path, name: str) -> list[Path]:
-    """Write a schedule as CSV and as a C header; return the paths."""
+def _save_schedule(plan: HeatingPlan, directory: Path, name: str, fault: str) -> list[Path]:
+    """Write a schedule as CSV and as a C header, with a reason not to run it at their top; return the paths."""
     paths = [directory / f"{name}.csv", directory / f"{name}.h"]
-    write_text(paths[0], schedule_csv(plan))
-    write_text(paths[1], arduino_header(plan))
+    write_text(paths[0], (f"# DO NOT RUN: {fault}\n" if fault else "") + schedule_csv(plan))
+    write_text(paths[1], (f"/* DO NOT RUN: {fault} */\n" if fault else "") + arduino_header(plan))
     return paths
 
 

@@ -33,13 +33,14 @@ TEMPERATURE = PanelScale("temperature (°C)", low=0.0)
 
 
 @picture
-def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = "") -> Figure:
+def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = "", stop: bool = False) -> Figure:
     """Picture of a plan: temperature, duty and battery voltage over time, and temperature along the tube.
 
     Args:
         plan: result of `plan_heating`.
         band: temperatures on uncertain rigs, drawn behind.
         title: heading; default the rig's name.
+        stop: the heading says "do not run".
     """
     figure = new_figure(9.4, 6.4)
     grid = figure.add_gridspec(4, 2, width_ratios=(1.35, 1.0), height_ratios=(1.7, 1.7, 1.0, 0.55))
@@ -56,9 +57,12 @@ def plot_heating(plan: HeatingPlan, *, band: Band | None = None, title: str = ""
     low, high = plan.spec.window_degC
     verdict = plan.verdict
     if band is not None:
-        verdict += f" by the rig of the file, and by {100 * band.probability:.0f} % of uncertain rigs"
+        verdict += f" by the rig of the file, and by {100 * band.probability:.0f} % of uncertain rigs" + (
+            " without a sensor" if plan.feedback else ""
+        )
     window = f"{title or plan.rig.name or 'rig'}:  {low:g} to {high:g} °C for {plan.spec.hold_time:g} s: {verdict}"
     curved = f"curved part {plan.lowest:.1f} to {plan.highest:.1f} °C in the hold"
+    window = f"DO NOT RUN THIS HEATING.  {window}" if stop else window
     headed(figure, f"{window}\n{curved},  hottest point {plan.hottest:.1f} °C")
     return figure
 
@@ -86,7 +90,7 @@ def draw_temperature(axes: Axes, plan: HeatingPlan, band: Band | None = None) ->
     """Draw curved part and clamps over time, with the window."""
     _draw_window(axes, plan)
     if band is not None:
-        draw_band(axes, band.time, *band.quantiles(), FAINT, name="90 % of uncertain rigs")
+        draw_band(axes, band.time, *band.quantiles(), FAINT, name="90 % of rigs, no sensor")
     _draw_curved_part(axes, plan, name="curved part", alpha=1.0, width=1.2)
     draw_over(axes, plan.time, plan.clamp_temperature, TEMPERATURE, name="clamps", color=COLD, lw=1.0)
     # After the hold the curves are those of a tube that cools in its mold; the table has the quench.

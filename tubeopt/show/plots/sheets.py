@@ -13,8 +13,9 @@ from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...shaping.firmware.boards import cable_of, fuse_of, root_mean_square
 from ...shaping.firmware.sketch_files import CHARGES
+from ...shaping.heating.controller import wilson
 from ...shaping.heating.cutout import cut_out
-from ...shaping.heating.plan import LEFT, HeatingPlan, left_in_mold
+from ...shaping.heating.plan import AGEING_DEGC, LEFT, HeatingPlan, left_in_mold
 from ...shaping.heating.sensors import Thermocouple
 from ...shaping.materials import MoldMaterial
 from ...shaping.mold.checks import THROUGH
@@ -203,6 +204,8 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
         write_at(figure, columns[0], lowest + 0.7 * ROW, f"tubes {numbers}: see mold.json")
     _write_tools(figure, lowest, tools)
     _write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
+    if any(remark.startswith("do not") for remark in part.remarks):
+        write_at(figure, 190.0, A4[1] - EDGE, "DO NOT USE IT: see the lines with !", size=11, weight="bold", color=STOP)
     return figure
 
 
@@ -479,6 +482,9 @@ LEAF = 1.0
 """Thickness of a leaf of a hinge, mm (assumed)."""
 
 
+CRUSHING = 100e6
+"""Largest stress by the jaws in a tube's wall, Pa: a quarter of where nitinol transforms (assumed)."""
+
 WASHER = 1.5
 """Thickness of a slotted washer, mm: steel then bends by less than 50 MPa over the hole of a latch at the torque of a
 board."""
@@ -576,6 +582,8 @@ def _jaws_text(mold: Mold) -> str:
     groove = mold.grooves[0]
     diameter, behind = groove.tube.outer_diameter, behind_clamp(groove)
     height = mold.spec.plate.thickness - groove.depth + 0.5 * diameter
+    # Half-round jaws press from outside, as on a pipe: stress p D / (2 t) with p = F / (D L).
+    force = CRUSHING * (diameter - groove.tube.inner_diameter) * groove.grip
     through = (
         f" {behind * TO_MM:.0f} mm of tube stick out behind the proximal clamp, not drawn: a through hole, and a "
         "sleeve over the live tube."
@@ -584,7 +592,9 @@ def _jaws_text(mold: Mold) -> str:
     )
     return (
         f"No jaws are drawn: two halves with a half-round groove of {diameter * TO_MM:g} mm, its axis "
-        f"{height * TO_MM:.2f} mm above the lower face of the base.{through}"
+        f"{height * TO_MM:.2f} mm above the lower face of the base; flat ones crush the tube. Press by at most "
+        f"{force:.0f} N (one M4 screw for it: {0.2 * force * 4e-3:.1g} N m, 0.2 F d): the wall then has "
+        f"{CRUSHING / 1e6:.0f} MPa (assumed).{through}"
     )
 
 
@@ -668,7 +678,8 @@ def _slot_steps(mold: Mold) -> list[str]:
         f"Mill the lid with its lower face up, as drawn (mirrored programs): its zero is the lower right corner of the "
         f"closed mold. A thermocouple of {wire:g} mm goes into its slot: junction in the middle, butt-welded since no "
         "bead fits, a leg to each side, out by the holes at its ends. Cement (ceramic) the junction and 3 mm of each "
-        "leg flush; insulate them by mica of 0.05 mm.",
+        "leg flush, and fix the legs in the slot at its ends. A strip of mica of 0.05 mm covers the whole slot towards "
+        "the tube: bare legs are at its voltage where they touch it.",
     ][: len(mold.slots)]
 
 
@@ -788,13 +799,18 @@ QUARTERS = (0.25, 0.5, 0.75)
 
 @picture
 def plot_fabrication_sheet(
-    fabrication: TubeFabrication, *, title: str = "", success: str = "", faults: Sequence[str] = ()
+    fabrication: TubeFabrication,
+    *,
+    title: str = "",
+    success: str = "",
+    faults: Sequence[str] = (),
+    remarks: Sequence[str] = (),
 ) -> Figure:
     """Heating sheet for the operator: one page A4 that begins with the probability of success.
 
     Args:
         fabrication: mold and heating of a tube. title: its name. success: probability of success, as text.
-        faults: violated conditions: with any, the sheet says "do not run" at its top.
+        faults: violated conditions: with any, the sheet says "do not run" at its top. remarks: on its tube.
     """
     plan = fabrication.heating
     stops = [*faults, *cut_out(plan).problems]
@@ -818,6 +834,7 @@ def plot_fabrication_sheet(
         "Time line": time_line(fabrication),
         "Safety": safety(plan),
     }
+    lists |= {"This tube": [*remarks]} if remarks else {}
     _write_lists(figure, SECOND, A4[1] - EDGE - 6, lists)
     return figure
 
@@ -897,13 +914,20 @@ def time_line(fabrication: TubeFabrication) -> list[str]:
             f"Under this mold's hinged lid, opened at once, it is at {left.opened:.0f} °C"
             if hinged
             else f"This lid is bolted; under a hinged one (key `hinge` of the mold) it is at {left.opened:.0f} °C"
+        )
+        + (
+            f". So it passes {AGEING_DEGC[0]:g} to {AGEING_DEGC[1]:g} °C in less than {LEFT:.0f} s even in the mold; "
+            "the shortest published ageing takes 120 s (BIOMED2007). After a late quench measure Af"
+            if left.closed < AGEING_DEGC[0]
+            else ". A slower opening changes Af: measure it"
         ),
     ]
 
 
 def preparation(fabrication: TubeFabrication) -> list[str]:
     """Steps before switching on, as text: set-up, wiring, measurements."""
-    plan, spec = fabrication.heating, fabrication.mold.spec
+    plan, spec, behind = fabrication.heating, fabrication.mold.spec, behind_clamp(fabrication.groove)
+    live = f" {behind * TO_MM:.0f} mm behind the proximal clamp are live: a sleeve over them." if behind else ""
     battery, fixed = plan.rig.battery, "distal" if spec.clamps.sliding_end == "proximal" else "proximal"
     voltage = f"Battery rested and disconnected: {battery.voltage:.2f} V. "
     if plan.feedback is None:
@@ -918,14 +942,15 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
     sensed = plan.feedback is not None and isinstance(plan.feedback.sensor, Thermocouple)
     return [
         f"Tube in its groove, {plan.rig.clamps.grip * TO_MM:g} mm of it in each clamp; the {fixed} clamp is fixed, the "
-        f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.",
+        f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.{live}",
         *(thermometer if sensed else ()),
         voltage,
         f"Polarity: battery plus, fuse, main switch, cut-out, current sensor, {fixed} clamp; "
         f"{spec.clamps.sliding_end} clamp, MOSFET (drain), its "
         "source to battery minus. A diode across the tube has its ring on the side of the fuse. The tube itself has no "
         "polarity.",
-        "Power off: the resistance from each clamp to the plates must be above 1 Mohm if the mold insulates. From "
+        "Power off: the resistance from each clamp to bolts and thermocouple must be above 1 Mohm if the mold "
+        "insulates. Measure it again after the tube was moved. From "
         "clamp to clamp a multimeter measures mainly its own leads; check the current instead.",
     ]
 
@@ -943,7 +968,9 @@ def running(fabrication: TubeFabrication) -> list[str]:
     return [
         "Wire as firmware/wiring.png; for all tubes of a robot take the larger rating of each part, but the fuse of "
         "each tube. Load firmware/tube_heater onto the board: each tube has its own.",
-        f"Every day: test the cut-out, `tubeopt heat run {port} --test-cutout`; then a dry run, with `--dry`.",
+        f"Every day, main switch on, tube in the clamps: `tubeopt heat run {port} --test-cutout` pulses it. Pass: the "
+        f'reply "cut-out: opened after .. ms", at most {1e3 * cut_out(plan).budget:.0f} ms. Then the same with `--dry` '
+        'in place of it: no current. Pass: it ends as "done". The lamp test (wiring.png) is before the first tube.',
         f"`tubeopt heat run {port} --out .` in the folder of this sheet. Its start checks switch, cut-out and the "
         "current of one pulse.",
         f"The board corrects the counts of the table, at most by {100 * law.share:.0f} %. Where the tube lags, the "
@@ -952,13 +979,25 @@ def running(fabrication: TubeFabrication) -> list[str]:
     ]
 
 
+def _silent(plan: HeatingPlan) -> list[str]:
+    """Line on the uncertain rigs that miss window or limit without a report; empty without a sensor."""
+    if plan.feedback is None:
+        return []
+    silent, samples = round(plan.feedback.silent * plan.feedback.samples), plan.feedback.samples
+    most = 100 * wilson(silent, samples)[1]
+    return [
+        f"{silent} of {samples} uncertain rigs miss window or limit without a report (95 %: at most {most:.1f} %): "
+        "measure radius and Af of the tube."
+    ]
+
+
 def safety(plan: HeatingPlan) -> list[str]:
     """Hazards of the heating, as text, with the numbers of the plan."""
-    cut = cut_out(plan)
-    reserve = 100 * (1 - plan.mean_current / plan.rig.circuit.current_limit)
+    cut, limit = cut_out(plan), plan.rig.circuit.current_limit
     return [
         f"{plan.peak_current:.0f} A flow while on: no rings or watches, tools with insulated handles, a fuse at the "
-        f"battery's plus, the stop button within reach. The mean current is {reserve:.0f} % below its limit.",
+        f"battery's plus, the stop button within reach. On average {plan.mean_current:.1f} A flow, of {limit:g} A "
+        "allowed.",
         f"The tube is at {plan.hottest:.0f} °C; clamps reach {plan.clamp_temperature.max():.0f} °C, the groove "
         f"{plan.mold_temperature.max():.0f} °C: wear gloves and goggles, and keep it away from anything that burns.",
         f"Shorted switch: the cut-out must open within {1e3 * cut.budget:.0f} ms, or the tube passes 650 °C. With "
@@ -968,6 +1007,7 @@ def safety(plan: HeatingPlan) -> list[str]:
         "No sensor leads this heating: without a thermometer a miss stays unseen."
         if plan.feedback is None
         else f"The board stops by itself at a reading of {plan.feedback.law.ceiling:.0f} °C.",
+        *_silent(plan),
         "Above the limit, or where the tube does not follow the time line: stop.",
         "After a stop or a miss: main switch off, let the tube cool in the mold; do not use it. Find the cause first, "
         "or calibrate by the log (`tubeopt heat calibrate`); then heat a new tube.",
