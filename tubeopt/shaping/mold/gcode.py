@@ -312,7 +312,7 @@ def drilled(holes: Sequence[Hole], drill: Stage, thickness: float, spec: MoldSpe
     shop, milling = spec.workshop, spec.milling
     has_cycle = shop.dialect in CANNED
     for purpose in dict.fromkeys(hole.purpose for hole in holes):
-        yield f"({purpose}s)"
+        yield "(latches)" if purpose == "latch" else f"({purpose}s)"
         of_purpose = [hole for hole in holes if hole.purpose == purpose]
         depth = drill_depth(drill.diameter, thickness)
         if has_cycle:

@@ -615,7 +615,7 @@ def opening_text(mold: Mold) -> str:
 def cooling_text(material: MoldMaterial) -> str:
     """Cooling of the tools in a material, as text."""
     if material.cutting_speed is None:
-        return "Cut dry, with an extractor and a mask"
+        return "Cut dry, with an extractor and an FFP3 mask"
     return f"Cut wet, at {material.cutting_speed * PER_MINUTE:g} m/min at most"
 
 
@@ -643,7 +643,7 @@ def _fasteners(mold: Mold) -> str:
             "flat washers (ISO 7089) under head and nut, "
             f"{torque_text(plate.bolt_diameter, mold.spec.material)}. 2 dowels {pin:g} m6 × "
             f"{length}: drilled {pin - REAMED * TO_MM:g} mm, reamed {pin:g} {DOWEL_FITS['base']} in the base (pins "
-            f"stay) and {pin:g} {DOWEL_FITS['lid']} in the lid (it slides)"
+            f"stay: cement them) and {pin:g} {DOWEL_FITS['lid']} in the lid (it slides)"
         )
     screw = mold.spec.hinge.screw_diameter
     leaf = LEAF / TO_MM
