@@ -601,7 +601,8 @@ def _jaws_text(mold: Mold) -> str:
 def behind_clamp(groove: Groove) -> float:
     """Length of tube (m) that sticks out behind the proximal clamp, where a straight part is longer than needed."""
     held = groove.centreline.lead_in.length + groove.gaps[0] + groove.grip
-    return max(groove.before_bend - held, 0.0)
+    behind = groove.before_bend - held
+    return behind if behind > 0.5e-3 else 0.0  # round-off is no tube
 
 
 def opening_text(mold: Mold) -> str:
