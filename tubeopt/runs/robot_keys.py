@@ -16,10 +16,10 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator, Val
 from ..equilibrium.readings import to_model
 from ..equilibrium.result import MIN_MARGIN
 from ..errors import InputError
-from ..files.checked import Count, Entry, Number, Triple, check, decimal, in_file
+from ..files.checked import Count, Entry, Number, Triple, check, in_file
 from ..files.fields import EntryOf, Part, keys_from, keys_in, values, with_keys
 from ..files.shipped import resolve_file
-from ..files.units import TO_MM
+from ..files.units import TO_MM, decimal
 from ..files.yaml_file import load_yaml
 from ..robots.file import AnyRobot, load_robot
 from ..robots.limits import reading_fault

@@ -75,7 +75,8 @@ def _motion(before: Equilibrium, after: Equilibrium) -> float:
 def _near_walls(place: Place, solved: Solved, waypoint: Array, index: int) -> tuple[Place, Snap | None]:
     """Place up to which the arm moves until it is apart from the walls or its branch ends, and the snap there."""
     passed = [Milestone(0.0, solved)]
-    for step in along_joints(solved, *np.split(waypoint, 2)):
+    rotations, translations = np.split(waypoint, 2)
+    for step in along_joints(solved, rotations, translations):
         passed.append(step)
         if step.t < 1 and not step.state.pressed and step.state.clearance > APART:
             return place.after(step.t, at_walls(step.state)), None
