@@ -50,14 +50,17 @@ ANY_MEAN, LARGEST_MEAN = 0.0016, 0.07
 # doi:10.1016/j.jmbbm.2007.08.001, and the tests listed in Shape Memory and Superelasticity 4 (2018),
 # doi:10.1007/s40830-018-0153-4: limits of specimens cut from tubes at 1e7 cycles.
 LIMITS, SMALL_MEAN = (0.004, 0.008), 0.015
-"""Smallest and largest published strain amplitude that lasts 1e7 cycles, at mean strains up to the last number."""
+"""Smallest and largest published strain amplitude that lasts 1e7 cycles, and a bound on the mean strain.
+
+The bound is an assumption: the sources, as far as they could be read, do not state one.
+"""
 
 
 class Endurance(StatusEnum):
     """Life of a tube of superelastic nitinol by published tests, as a sentence."""
 
     ENDLESS = "below all published limits: lasts 400 million cycles, at any mean strain up to 7 %"
-    LONG = "below the published limits of 10 million cycles, at mean strains up to 1.5 %"
+    LONG = "below the published limits of 10 million cycles; the mean strain is below an assumed 1.5 %"
     SCATTERED = "in the scatter of the published limits of 10 million cycles: some tubes break before"
     SHORT = "above the published limits of 10 million cycles: tubes break before"
     UNKNOWN = "unknown: the published limits are those of nitinol, and the tube is of another material"
