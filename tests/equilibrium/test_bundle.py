@@ -978,3 +978,5 @@ def test_friction_delays_a_snap_and_its_band_holds_every_history(tmp_path: Path)
         )
     with pytest.raises(InputError, match="the robot has 3 tubes, so it must be 3, one for every tube, or 1"):
         follow(sheath, [start, end], friction=Friction((1e-3, 1e-3)))
+    with pytest.raises(InputError, match="by_moment of friction is given for a bundle"):
+        replace(sheath, friction=Friction(by_moment=0.1))

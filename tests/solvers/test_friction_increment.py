@@ -47,7 +47,7 @@ def way_of_pieces(seed: int) -> tuple[ConcentricRobot, Array, Friction]:
     corners = np.hstack([np.cumsum(random.normal(0, 0.7, (6, 3)), axis=0), slides])
     at = np.linspace(0, len(corners) - 1, 21)
     rows = np.column_stack([np.interp(at, np.arange(len(corners)), column) for column in corners.T])
-    return inputs, rows, Friction((0.02, 0.01))
+    return inputs, rows, Friction((0.02, 0.01), by_moment=(0.0, 2.0))
 
 
 def poses(given: ConcentricRobot, rows: Array, rub: Friction) -> PredictedPoses:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_bvp
 
 from tests.examples import THESIS
 from tubeopt import (
@@ -29,6 +30,7 @@ from tubeopt import (
     load_robot,
     snap_free_certificate,
 )
+from tubeopt.block.transcription.contact import largest_capacity, make_contact, pressed
 from tubeopt.equilibrium.result import Equilibrium, Status
 from tubeopt.typing import Array
 
@@ -101,6 +103,45 @@ def test_widths_of_loops() -> None:
         plain = forward_kinematics(robot, [0, gamma])
         assert ends(down)[1] - ends(up)[1] == pytest.approx(width, abs=1e-8)
         assert ends(up)[1] < ends(plain)[1] < ends(down)[1]
+
+
+def test_friction_that_grows_with_the_bending_moment() -> None:
+    """All slipping, against solve_bvp: phi'' = c sin phi + tau (1 / kt_1 + 1 / kt_2).
+
+    Two tubes pass the moment M = kb_1 kb_2 / (kb_1 + kb_2) |kappa_1 - kappa_2 e^{j phi}|, and tau = tau_0 + b M.
+    """
+    kb, kappa, held, length, gamma = np.array([1.0, 3.0]) * KT, np.array([1.5, 0.8]), 0.3, 1.0, 2.0
+    law = Friction(0.1 * KT, by_moment=0.4)
+    robot = ConcentricRobot(
+        tuple(
+            Tube(d * MM, (d - 0.5) * MM, held, length, k, bending_stiffness=b, torsional_stiffness=0.8 * b)
+            for d, b, k in zip((1.0, 2.0), kb, kappa, strict=True)
+        )
+    )
+    reduced, soft = kb.prod() / kb.sum(), (1 / (0.8 * kb)).sum()
+
+    def passed(phi: Array) -> Array:
+        return np.asarray(reduced * np.abs(kappa[0] - kappa[1] * np.exp(1j * phi)))
+
+    def rate(_: Array, y: Array) -> Array:
+        torque = law.torque[0] + law.by_moment[0] * passed(y[0])  # type: ignore[index]
+        return np.array([y[1], reduced * kappa.prod() * soft * np.sin(y[0]) + soft * torque])
+
+    s = np.linspace(0.0, length, 50)
+    exact = solve_bvp(
+        rate, lambda a, b: np.array([a[0] - held * a[1] - gamma, b[1]]), s, np.array([gamma - s, 0 * s]), tol=1e-8
+    )
+    reached = []
+    for count in (20, 40):
+        (*_, last) = turned(robot, law, np.linspace(0.0, gamma, count + 1)[1:].tolist())
+        reached.append(ends(last))
+        assert not last.friction.sticking.any()  # type: ignore[union-attr]
+    errors = np.array(reached) - exact.sol([0.0, length])[0]
+    # Capacities are those of the state before: the error is of first order in the step.
+    assert np.abs(errors[1] - errors[0] / 2).max() < 0.1 * np.abs(errors[0]).max() < 2e-3
+    assert np.abs(2 * errors[1] - errors[0]).max() < 2e-4
+    plain = ends(turned(robot, Friction(0.1 * KT), [gamma])[0])
+    assert ends(last)[1] < plain[1] - 0.05
 
 
 def test_front_lies_where_slip_ends() -> None:
@@ -352,6 +393,41 @@ def test_band_holds_every_history() -> None:
     assert np.linalg.norm(off, axis=1).max() < band.tip_radius < 10 * np.linalg.norm(band.tip_half_widths)
     assert band.guaranteed[0] == 0
     assert band.first_order[0].max() < 1e-20
+
+
+def test_band_of_friction_that_grows_with_the_bending_moment() -> None:
+    """It holds every history, and its capacities are the largest of all rotations."""
+    robot, at, law = certified(), [0.3, 1.9], Friction(2e-4, by_moment=0.2)
+    still = forward_kinematics(robot, at)
+    band = friction_band(still, law)
+    paths = np.random.default_rng(1).normal(0, 2.0, (8, 2)) + at
+    states = follow(robot, [point for path in paths for point in (path, at)], friction=law).equilibria[1::2]
+    off = np.array([state.tip_position for state in states]) - still.tip_position
+    assert 0.3 < np.linalg.norm(off, axis=1).max() / np.linalg.norm(band.tip_half_widths) < 1.5
+    assert np.linalg.norm(off, axis=1).max() < band.tip_radius < np.inf
+    contact = make_contact(THESIS.assembly(np.zeros(3)), Friction(by_moment=(1.0, 2.0)))
+    theta = np.random.default_rng(2).uniform(-np.pi, np.pi, (300, 3))
+    states = [pressed(contact, np.tile(row, (len(contact.problem.weight), 1))).capacity for row in theta]
+    assert (np.max(states, axis=0) <= largest_capacity(contact) * (1 + 1e-12)).all()
+    assert np.median(np.max(states, axis=0) / largest_capacity(contact)) > 0.98
+    # A load bends tubes by an amount without a bound.
+    assert np.isinf(friction_band(forward_kinematics(robot, at, load=Load((0.0, 1e-3, 0.0))), law).tip_radius)
+
+
+def test_bending_under_a_load_presses_tubes_together() -> None:
+    """The moment that the outer tube carries is kb_2 |kappa_2 e_2 - u|, with the curvature u of the loaded arm."""
+    robot, law, load = certified(), Friction(by_moment=0.1), Load((0.05, 0.0, 0.0))
+    start = forward_kinematics(robot, [0.3, 1.9], load=load)
+    state = follow(robot, [[0.3, 1.9]], start=start, load=load, friction=law).equilibria[-1].friction
+    assert state is not None
+    at, tube = np.array(state.arc_length), robot.tubes[1]
+    u = np.array([np.interp(at, start.arc_length, part) for part in start.curvature.T])
+    theta = np.interp(at, start.arc_length, start.rotation[1])
+    natural = tube.curvature * np.array([np.cos(theta), np.sin(theta)]) * (at < tube.curved_length)
+    carried = tube.bending_stiffness * np.linalg.norm(natural - u, axis=0)
+    weight = make_contact(robot.assembly(np.zeros(2)), law).problem.weight
+    assert len(weight) == len(at)
+    assert np.abs(np.array(state.capacity) / (0.1 * weight * carried) - 1).max() < 0.01
 
 
 @pytest.mark.parametrize("load", [None, Load((0.0, 1e-3, 0.0))], ids=["plain", "force"])

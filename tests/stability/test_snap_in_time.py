@@ -184,6 +184,8 @@ def test_a_snap_with_friction_starts_where_friction_lets_go(crl_snap: Snap) -> N
     held = snap_in_time(crl_snap, bending_inertia=False, friction=friction, duration=6e-3)
     assert held.status is MotionEnd.MOVING
     assert np.abs(held.tip_rotations[-1] - crl_snap.before.tip_rotations).max() < 0.02
+    with pytest.raises(InputError, match="by_moment of friction is above 0"):
+        snap_in_time(crl_snap, friction=Friction(torque=1e-3, by_moment=0.1))
     with pytest.raises(InputError, match="friction acts on sliding tubes"):
         snap_in_time(crl_snap, friction=Friction(torque=1e-3, sliding=True))
 

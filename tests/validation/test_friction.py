@@ -26,14 +26,64 @@ def readings() -> tuple[Array, Array]:
     return time, joints(6 * time, 6 * time[-1])
 
 
-def rubbing(noise: float = 0.2 * MM, drives: Calibration | None = None) -> Measurements:
+def rubbing(
+    noise: float = 0.2 * MM,
+    drives: Calibration | None = None,
+    law: Friction | None = None,
+    way: tuple[Array, Array] | None = None,
+) -> Measurements:
     """The tips of the robot with friction, followed along the way by the motion that the fit does not use."""
-    time, read = readings()
+    time, read = way or readings()
     drives = drives or Calibration.none(2)
     alpha, shift = drives.to_model(read[:, :2], read[:, 2:])
-    tips = np.array([e.tip_position for e in follow(robot(), alpha, shift, friction=Friction(TRUE)).equilibria])
+    if any(drives.rotation_play):
+        alpha = np.column_stack([loose(*each) for each in zip(alpha.T, drives.rotation_play, strict=True)])
+    tips = np.array([e.tip_position for e in follow(robot(), alpha, shift, friction=law or Friction(TRUE)).equilibria])
     noisy = in_device(tips) + np.random.default_rng(0).normal(0, noise, tips.shape)
     return Measurements(read[:, :2], read[:, 2:], noisy, time=time, source="a way")
+
+
+def loose(drive: Array, play: float) -> Array:
+    """Rotations (T,) of a tube that its drive (T,) moves through a backlash."""
+    tube = drive.copy()
+    for k in range(1, len(tube)):
+        tube[k] = np.clip(tube[k - 1], drive[k] - play, drive[k] + play)
+    return tube
+
+
+def turns_of_several_sizes() -> tuple[Array, Array]:
+    """Times and joint readings of a way on which one tube turns back after turns from 5 to 80 degrees."""
+    time = np.arange(120) / RATE
+    corners = np.radians(np.cumsum([0, 5, 60, -10, -40, 20, -80, -5, 50]))
+    read = np.zeros((len(time), 4))
+    read[:, 1] = np.interp(np.linspace(0, len(corners) - 1, len(time)), np.arange(len(corners)), corners)
+    read[:, 2] = -0.03 + 0.0015 * np.abs((np.arange(len(time)) + 20) % 40 - 20)
+    read[:, 3] = -0.01
+    return time, read
+
+
+@pytest.mark.parametrize(("torque", "play"), [(0.006, 0.0), (0.0, 0.07), (0.006, 0.05)])
+def test_play_and_friction_are_told_apart(torque: float, play: float) -> None:
+    drives = replace(Calibration.none(2), rotation_play=(0.0, play))
+    data = rubbing(drives=drives, law=Friction(torque), way=turns_of_several_sizes())
+    fitted = fit(robot(), data, ["friction_1", "rotation_play_2"], FitOptions(folds=0))
+    for found, true in zip(fitted.estimates, (torque, play), strict=True):
+        # Play is known to 0.5 degrees, friction to a third.
+        assert abs(found.value - true) < 2.5 * found.standard_error < 0.011
+    assert not fitted.remarks
+
+
+def test_friction_that_grows_with_the_bending_moment_is_found() -> None:
+    data = rubbing(law=Friction(0.004, by_moment=0.3))
+    names = ["friction_1", "friction_by_moment_1"]
+    fitted = fit(robot(), data, names, FitOptions(folds=0))
+    constant, growth = fitted.estimates
+    assert growth.unit == "1/m"
+    assert 0 < growth.low < 0.3 < growth.high
+    assert constant.low < 0.004 < constant.high
+    assert fitted.robot.friction.by_moment == (growth.value,)  # type: ignore[attr-defined, union-attr]
+    # On this way bending moments change little, so that each explains most of the other.
+    assert any(f"{names[0]} can hardly be distinguished from friction_by_moment" in each for each in fitted.remarks)
 
 
 def test_friction_is_found_and_goes_into_the_robot() -> None:

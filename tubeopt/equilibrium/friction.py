@@ -29,6 +29,7 @@ from ..block.transcription.contact import (
     contact_profile,
     evaluate_contact,
     make_contact,
+    pressed,
     unknowns_of,
 )
 from ..block.transcription.loaded import LoadedProblem, LoadedState, load_problem
@@ -169,6 +170,8 @@ def rest(robot: Robot, equilibrium: Equilibrium, friction: Friction) -> Friction
     if stored is None:
         return shaken(contact, equilibrium)
     points, bending = _sampled(contact, equilibrium)
+    if len(stored.capacity) == len(contact.capacity):
+        contact = replace(contact, capacity=np.array(stored.capacity))
     at = contact.concentrated_at
     between = sample_rotation(equilibrium, at)[np.arange(len(at)), contact.tube]
     x = unknowns_of(contact, equilibrium.rotations, points, between, bending)
@@ -257,8 +260,9 @@ def shaken(contact: Contact, equilibrium: Equilibrium) -> FrictionEquilibrium:
     if not relaxed.converged:
         raise SolveError("Newton's method does not converge from start on the friction mesh")
     zero = np.zeros(len(contact.capacity))
+    contact = pressed(contact, points, bending)
     result = Increment(
-        state=relaxed.state,
+        state=replace(relaxed.state, contact=contact, capacity=contact.capacity),
         torque=zero,
         signs=zero.astype(np.int8),
         heat=0.0,
@@ -291,7 +295,7 @@ def step(
     if isinstance(current, BundleFriction):
         return _bundle_step(robot, current, rotations, translations, load)
     contact, before, x = start_increment(robot, current, rotations, translations, load)
-    same_contact = contact is current.contact
+    same_contact = contact.problem is current.contact.problem
     turn, shift = rotations - current.rotations, translations - current.translations
 
     sliding, guess, signs = None, x, None
@@ -394,7 +398,9 @@ def start_increment(
         return IncrementStart(falling, np.zeros(len(falling.pair)), x)
     moved = translations - current.translations
     if not moved.any() and load == current.load:
-        return IncrementStart(current.contact, current.increment.state.relative_rotations, current.increment.state.x)
+        state = current.increment.state
+        contact = pressed(current.contact, state.elastic.theta, bending_of(current.contact, state.x))
+        return IncrementStart(contact, state.relative_rotations, state.x)
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction, load)
     pair, s, points = contact.pair, contact.arc_length, contact.problem.arc_length
     # The material at s was at s - dz_i on tube i.
@@ -405,8 +411,9 @@ def start_increment(
     before = outer[row, pair + 1] - inner[row, pair]
     turn = rotations - current.rotations
     at_joints = (between + turn)[joint, contact.tube]
-    x = unknowns_of(contact, rotations, at_points + turn, at_joints, bent_at(current, contact))
-    return IncrementStart(contact, before, x)
+    bending = bent_at(current, contact)
+    x = unknowns_of(contact, rotations, at_points + turn, at_joints, bending)
+    return IncrementStart(pressed(contact, at_points, bending), before, x)
 
 
 def bent_at(current: FrictionEquilibrium, contact: Contact) -> Array | None:
@@ -633,8 +640,9 @@ def swept(
         return current
     rotations, translations = np.split(joints[k], 2)
     contact = contact_of(robot, tuple(translations.tolist()), current.contact.friction)
-    state = evaluate_contact(contact, rotations, many.unknowns[k - 1, : contact.problem.size])
     rows, heat, violation = len(contact.capacity), float(many.heat[k - 1]), float(many.violation[k - 1])
+    contact = replace(contact, capacity=many.capacity[k - 1, :rows])
+    state = evaluate_contact(contact, rotations, many.unknowns[k - 1, : contact.problem.size])
     torque, signs = many.torque[k - 1, :rows], many.signs[k - 1, :rows]
     result = Increment(state, torque, signs, heat, True, 0.0, violation)
     return FrictionEquilibrium(contact, rotations, translations, result, current.heat + heat)

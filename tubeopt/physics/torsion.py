@@ -248,6 +248,20 @@ def bent_functions(n: int) -> dict[str, ca.Function]:
 
 
 @lru_cache(maxsize=16)
+def passed_moment_function(n: int) -> ca.Function:
+    """Function (theta, kb, m, b) -> bending moments (n - 1,), N m, that each tube and those in it put on those around.
+
+    Tubes that touch have one curvature u. Those around a contact carry sum_j (m_j - kb_j u), which only the contact
+    brings to them. b (2,) is the bending moment of forces, N m.
+    """
+    theta, stiffness, moment, load = ca.SX.sym("theta", n), ca.SX.sym("kb", n), ca.SX.sym("m", n), ca.SX.sym("b", 2)
+    u = cross_section(theta, stiffness, moment, load=load).curvature
+    carried = natural_moments(theta, moment) - stiffness @ u.T
+    passed = [ca.norm_2(ca.sum1(carried[i:, :])) for i in range(1, n)]
+    return ca.Function("passed_moment", [theta, stiffness, moment, load], [ca.vertcat(*passed)], {"cse": True})
+
+
+@lru_cache(maxsize=16)
 def bent_anyhow(n: int) -> ca.Function:
     """Function (theta, kb, m (n, 2)) -> M, dM/dtheta (n, n) of n concentric tubes with precurvature about both axes."""
     theta, stiffness, moment = ca.SX.sym("theta", n), ca.SX.sym("kb", n), ca.SX.sym("m", n, 2)

@@ -19,7 +19,7 @@ from .robot import Robot, keeps_hash
 from .tubes import Tube
 
 # What a friction holds for every pair of neighbours.
-PAIRWISE = ("torque", "plate", "jumps", "ends")
+PAIRWISE = ("torque", "plate", "jumps", "ends", "by_moment")
 
 
 @typed
@@ -30,7 +30,8 @@ class Friction(Displayed):
     In a bundle each tube rubs in its channel, the tube around it or the sheath: n numbers, or one for all tubes.
 
     The torque about the tubes' axis is limited by the capacities here: N m per m of length, and N m at points. A
-    slipping contact has the same torque at any speed.
+    slipping contact has the same torque at any speed. With `by_moment`, 1/m, tubes that bend one another more rub more;
+    the capacities of an increment are those of the state before it, so small steps are needed.
 
     Raises:
         InputError: a number that is not finite or below 0, or tables of different length.
@@ -74,6 +75,14 @@ class Friction(Displayed):
         "number of mesh bisections, for a sharper boundary between slip and stick; -1 and "
         "-2 coarsen the mesh and save time",
     ] = 0
+    by_moment: Annotated[
+        float | tuple[float, ...],
+        unit("per_m"),
+        NOT_NEGATIVE,
+        Typical(1e-2, 1e3),
+        "more friction torque per length for every N m of bending moment that the outer tube of a pair and those "
+        "around it carry; of concentric robots only",
+    ] = 0.0
 
     def __post_init__(self) -> None:
         for name in PAIRWISE:
@@ -134,6 +143,11 @@ def check_friction(friction: Friction | None, n_tubes: int, *, channels: bool = 
         return
     for name in PAIRWISE:
         per_pair(f"{name} of friction", friction.of(name), n_tubes, channels=channels)
+    if channels and any(friction.by_moment):  # type: ignore[arg-type]
+        raise InputError(
+            "by_moment of friction is given for a bundle; it is supported for concentric robots only: more than "
+            "bending presses tubes into their channels"
+        )
 
 
 @typed

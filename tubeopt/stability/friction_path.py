@@ -16,7 +16,7 @@ import scipy
 
 from ..arguments import typed
 from ..block.transcription.bundle import bundle_arm
-from ..block.transcription.contact import make_contact
+from ..block.transcription.contact import largest_capacity, make_contact
 from ..block.transcription.loaded import LoadedState, integration_to
 from ..block.transcription.orientation import position_slopes
 from ..display import Displayed
@@ -293,7 +293,7 @@ def _distance(a: FrictionEquilibrium, b: FrictionEquilibrium) -> float:
     if isinstance(a, BundleFriction) and isinstance(b, BundleFriction):
         return b.member.distance(a.point, b.increment.state.elastic)
     problem = b.contact.problem
-    theta_a = a.increment.state.elastic.theta if a.contact is b.contact else a.theta(problem.arc_length)
+    theta_a = a.increment.state.elastic.theta if a.contact.problem is problem else a.theta(problem.arc_length)
     change = ((b.increment.state.elastic.theta - b.rotations) - (theta_a - a.rotations)).ravel()[problem.flat]
     bending_b, bending_a = bent_at(b, b.contact), bent_at(a, b.contact)
     if bending_b is not None and bending_a is not None:
@@ -309,7 +309,7 @@ def _flow(family: Family, current: FrictionEquilibrium, t: float, *, pushed: boo
     (rotations, translations), load = family.path.at(t), family.load_at(t)
     contact, before, x = start_increment(family.path.robot, current, rotations, translations, load)
     push = None
-    if pushed and contact is current.contact:
+    if pushed and contact.problem is current.contact.problem:
         push = NUDGE * softest(current.increment.state, current.increment.signs)
     elif pushed:  # on another mesh the softest direction is that of the state carried over
         push = NUDGE * softest(contact.evaluate(rotations, x), np.ones(len(before), dtype=np.int8))
@@ -416,8 +416,11 @@ def friction_band(equilibrium: Equilibrium, friction: Friction) -> FrictionBand:
     else:
         certificate = convexity(robot, equilibrium.translations)
     guaranteed = np.full(len(equilibrium.arc_length), np.inf)
-    if certificate > 0:
-        push = contact.capacity @ np.abs(contact.rows @ contact.rows.T) @ contact.capacity
+    # A load has bending moments without a known bound, and friction may grow with them.
+    bounded = equilibrium.load is None or not contact.growth.any()
+    if certificate > 0 and bounded:
+        capacity = largest_capacity(contact)
+        push = capacity @ np.abs(contact.rows @ contact.rows.T) @ capacity
         # |p - p0| <= int |u - u0| (s_p - s) ds by Cauchy's inequality, in the norm of the whitened unknowns.
         natural = torsion.moment / np.maximum(torsion.stiffness.sum(1), 1e-300)[:, None]
         reach = np.maximum(equilibrium.arc_length[:, None] - torsion.arc_length, 0.0)

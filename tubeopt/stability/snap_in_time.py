@@ -203,6 +203,8 @@ def snap_in_time(
     law = friction if friction is not None or lost.friction is None else lost.friction.friction
     if law is not None:
         check_friction(law, robot.n_tubes)
+        if any(law.of("by_moment")):
+            raise InputError("by_moment of friction is above 0; a snap in time supports constant friction torques only")
         if law.sliding:
             raise InputError("friction acts on sliding tubes; a snap in time has carriages at rest")
     member, x = unsolved(replace(lost, friction=None), lost.load or Load())

@@ -40,6 +40,8 @@ class Setup:
     drives: Calibration
     friction: Array
     """(n - 1,) friction between neighbouring tubes of a concentric robot, N m per m; (0,) of others."""
+    friction_by_moment: Array
+    """(n - 1,) growth of this friction with the bending moment between the tubes, 1/m; (0,) of others."""
     clearance: Array
     """(n - 1,) radial clearances of every tube in the next one of a concentric robot, m; (0,) of others."""
     curvature: Array
@@ -77,7 +79,7 @@ class Setup:
     def of(cls, robot: Robot) -> Setup:
         """The robot, its plate and its sensor as the file describes them."""
         tubes = members(robot)
-        torque, clearance = _between(robot)
+        between = _between(robot)
         extra = robot.transmission_length if isinstance(robot, EccentricRobot) else 0.0
         dimensions = dimensions_of(tubes)
         dimensions["straight_length"] += extra
@@ -88,8 +90,7 @@ class Setup:
         pieces = tuple((k, j) for k, tube in enumerate(tubes) if len(tube.pieces) > 1 for j in range(len(tube.pieces)))
         return cls(
             drives=drives,
-            friction=torque,
-            clearance=clearance,
+            **between,
             **dimensions,
             dead_length=np.array([0.0 if shape is None else shape.dead for shape in shapes]),
             fade=np.array([0.0 if shape is None else shape.fade for shape in shapes]),
@@ -104,6 +105,11 @@ class Setup:
     def plate_turn(self) -> Array:
         """(3, 3) rotation of the plate from its registered orientation."""
         return np.asarray(scipy.spatial.transform.Rotation.from_rotvec([*self.plate_tilt, 0.0]).as_matrix())
+
+    @property
+    def rubs(self) -> bool:
+        """True if there is friction between the tubes."""
+        return any(getattr(self, name).any() for name in RUBBING)
 
     def copy(self) -> Setup:
         """Copy that can be changed."""
@@ -128,7 +134,8 @@ class Setup:
         calibration = replace(self.drives, found_by=found_by, rotation_middles=middles, **mounts)
         drives = None if calibration.trivial else calibration
         if isinstance(base, ConcentricRobot):
-            contact = replace(friction_of(base) or Friction(), torque=tuple(self.friction.tolist()) or (0.0,))
+            torque, by_moment = (tuple(part.tolist()) or (0.0,) for part in (self.friction, self.friction_by_moment))
+            contact = replace(friction_of(base) or Friction(), torque=torque, by_moment=by_moment)
             friction = None if contact.trivial else contact
             loose = tuple(self.clearance.tolist()) if self.clearance.any() else None
             return replace(base, tubes=tubes, calibration=drives, friction=friction, clearance=loose)
@@ -192,7 +199,8 @@ def _of_pieces(pieces: Sequence[Piece]) -> dict[str, Any]:
 PER_RECORDING = ("latency", "translation", "rotation", "plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
 
 # What describes the tubes, how they rub, and how loose they are.
-TUBES = ("friction", "clearance", "piece_curvature", "dead_length", "fade", "learned", *DIMENSIONS)
+RUBBING = ("friction", "friction_by_moment")
+TUBES = (*RUBBING, "clearance", "piece_curvature", "dead_length", "fade", "learned", *DIMENSIONS)
 
 # Where the plate and the tip's sensor stand off where they should be.
 MOUNTS = ("plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
@@ -208,15 +216,16 @@ def shapes_of(robot: Robot) -> list[TubeShape | None]:
     return [shape_of(tube, learned=str(k) in learned) for k, tube in enumerate(members(robot), start=1)]
 
 
-def _between(robot: Robot) -> tuple[Array, Array]:
-    """Friction torques and clearances (n - 1,) between neighbouring tubes of a concentric robot; (0,)
-    for other robots.
-    """
+def _between(robot: Robot) -> dict[str, Array]:
+    """Friction and clearances (n - 1,) between neighbouring tubes of a concentric robot; (0,) of other robots."""
     if not isinstance(robot, ConcentricRobot):
-        return np.zeros(0), np.zeros(0)
-    none = (0.0,) * (robot.n_tubes - 1)
-    torque = none if robot.friction is None else robot.friction.per_pair("torque", len(none))
-    return np.array(torque), np.array(none if robot.clearance is None else robot.clearance)
+        return {name: np.zeros(0) for name in ("friction", "friction_by_moment", "clearance")}
+    pairs, law = robot.n_tubes - 1, robot.friction or Friction()
+    return {
+        "friction": np.array(law.per_pair("torque", pairs)),
+        "friction_by_moment": np.array(law.per_pair("by_moment", pairs)),
+        "clearance": np.array((0.0,) * pairs if robot.clearance is None else robot.clearance),
+    }
 
 
 def members(robot: Robot) -> tuple[Tube, ...]:
@@ -446,6 +455,16 @@ def _friction_span(context: Context, index: int | None) -> Span:
     return Span(start, 0.0, max(start, 50 * scale), scale, scale)
 
 
+def _growth_span(context: Context, index: int | None) -> Span:
+    """Range of the growth of friction with the bending moment: its scale is that of friction at the largest moment."""
+    pair = index or 0
+    kb, curvature = context.setup.bending_stiffness[pair : pair + 2], context.setup.curvature[pair : pair + 2]
+    moment = float(kb.prod() / kb.sum() * np.abs(curvature).sum())
+    scale = _friction_span(context, index).scale / max(moment, 1e-9)
+    start = float(context.setup.friction_by_moment[pair])
+    return Span(start, 0.0, max(start, 50 * scale), scale, scale)
+
+
 def _no_friction(context: Context, index: int | None) -> str:
     pair = index or 0
     return "" if _together(context, pair) > 0 else f"tubes {pair + 1} and {pair + 2} are nowhere in front of the plate"
@@ -561,6 +580,11 @@ EFFECTS: dict[str, Effect] = {
     "friction": Effect(
         "friction torque per length between tube I and the next one, N m per m", "N", "pair",
         _friction_span, _put("friction"), needs="way", history=True, idle=_no_friction,
+    ),
+    "friction_by_moment": Effect(
+        "more friction torque per length between tube I and the next one for every N m of bending moment between them",
+        "1/m", "pair",
+        _growth_span, _put("friction_by_moment"), needs="way", history=True, compared="asked", idle=_no_friction,
     ),
     "clearance": Effect(
         "radial clearance of tube I in the next one; the arm beyond its end tilts", "m", "pair",

@@ -374,7 +374,7 @@ class ArmModel:
         """
         self.turns, setup = turns, self.first.copy()
         # Without friction every row is solved on its own, which is enough to recognise a full turn.
-        setup.friction[:] = 0.0
+        setup.friction[:] = setup.friction_by_moment[:] = 0.0
         try:
             with warnings.catch_warnings(action="ignore", category=ImplausibleWarning):  # of turns that are tried
                 poses = self.poses(setup)
@@ -586,7 +586,7 @@ class ArmModel:
         joints: Array | None = None
         for k, p in enumerate(self.parameters[skip:], start=skip):
             inward = -1.0 if state.x[k] > (p.low + p.high) / 2 else 1.0
-            if p.effect.drives and not now.friction.any():  # with friction, rows depend on all joint values before
+            if p.effect.drives and not now.rubs:  # with friction, rows depend on all joint values before
                 joints = self._joint_slopes(now, state.registration, predicted) if joints is None else joints
                 moved = self.setup(_nudged(state.x, k, inward * STEP * p.scale))
                 change = np.hstack(self.joints(moved)) - np.hstack(self.joints(now))
@@ -612,7 +612,7 @@ class ArmModel:
     def costly(self, state: ParameterState[Registration]) -> bool:
         """True if derivatives need a pass along all rows for every parameter, or for many."""
         many = any(p.effect.random for p in self.parameters)
-        return many or (bool(self.setup(state.x).friction.any()) and bool(self.timeline.runs))
+        return many or (self.setup(state.x).rubs and bool(self.timeline.runs))
 
     def _joint_slopes(self, setup: Setup, motion: Registration, predicted: Array) -> Array:
         """(V, 3, 2 n) derivatives of the observations by the joint values of their row.

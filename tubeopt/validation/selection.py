@@ -40,6 +40,7 @@ from ..solvers.robust_least_squares import RobustDescent, Weights, bounded_step,
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress
 from .comparison import BLOCKS, ErrorSummary, check_registration, check_tubes, distances, registration_error
+from .effects import RUBBING
 from .fitting import BY_CHORDS, Fit, FitOptions, FitProblem, predicted_held_out, sessions, weigh
 from .identifiability import left_out
 from .measurements import Measurements, joined, recordings_of
@@ -314,7 +315,7 @@ class _Search:
 
     def _long(self, kinds: Sequence[str]) -> bool:
         """True if fitting these effects needs a pass along all rows for every parameter."""
-        return "friction" in kinds or self.initial_trial.model.costly(self.initial_trial.fit.state)
+        return not set(RUBBING).isdisjoint(kinds) or self.initial_trial.model.costly(self.initial_trial.fit.state)
 
     def _fitted(
         self, kinds: tuple[str, ...], start: ParameterState[Registrations], sigma: tuple[float, float]

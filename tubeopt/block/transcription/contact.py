@@ -28,12 +28,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy
 
+from ...physics.torsion import passed_moment_function
 from ...robots.assembly import LENGTH_ROUND_OFF, Assembly
 from ...robots.concentric import PAIRWISE, Friction
 from ...robots.load import Load
 from ...typing import Array, Index, Mask
 from . import bundle, loaded
 from .arm import Profile, integrate, pushed
+from .buffered import mapped
 from .bundle import HELD, BundleProblem, BundleState, margin_basis
 from .loaded import LoadedProblem, LoadedState, Loading, load_problem
 from .mesh import element_counts, loaded_mesh, make_mesh
@@ -65,6 +67,10 @@ class Contact:
     """Derivative (R, X) of the relative rotations by the unknowns, rad per sqrt(J)."""
     capacity: Array
     """Largest friction torques (R,), N m."""
+    constant: Array
+    """Part (R,) of these that does not depend on bending moments, N m."""
+    growth: Array
+    """Change (R,) of these per bending moment that the pair passes on at the row."""
     arc_length: Array
     """Arc lengths (R,) of the rows, m."""
     pair: Index
@@ -123,6 +129,43 @@ class Contact:
         return float(self.problem.energy_parts + abs(state.energy) + work)
 
 
+LEAST_CAPACITY = 1e-15
+"""Friction torque of a row (N m) where no bending moment presses two tubes together: a capacity cannot be 0."""
+
+
+def pressed(contact: Contact, theta: Array, bending: Array | None = None) -> Contact:
+    """Contact with the capacities of the bending moments at rotations (N, n) and bending (N, 2), 1/m, of its points.
+
+    The contact itself, if its capacities do not depend on moments.
+    """
+    if not contact.growth.any():
+        return contact
+    problem, n = contact.problem, contact.problem.assembly.n_tubes
+    load = np.zeros((len(theta), 2)) if bending is None else bending * problem.stiffness.sum(1)[:, None]
+    data = theta + problem.phase, problem.stiffness, problem.moment, load
+    moment = mapped(passed_moment_function(n), len(theta))(*data)[0]
+    capacity = contact.constant + contact.growth * moment[contact.point, contact.pair]
+    return replace(contact, capacity=np.maximum(capacity, LEAST_CAPACITY))
+
+
+def largest_capacity(contact: Contact) -> Array:
+    """Largest friction torques (R,) of any state without a load, N m.
+
+    Tubes around a contact carry S_out - K_out u, with S = sum m_j e_j and u = (S_in + S_out) / K: this
+    is (K_in S_out - K_out S_in) / K, which is largest if the two sums are straight and point in opposite directions.
+    """
+    if not contact.growth.any():
+        return contact.capacity
+    stiffness, moment = contact.problem.stiffness, np.abs(contact.problem.moment)
+    (k_in, s_in), (k_out, s_out) = (
+        [np.cumsum(part[:, ::step], axis=1)[:, ::step] for part in (stiffness, moment)] for step in (1, -1)
+    )
+    total = stiffness.sum(1)[:, None]
+    passed = (k_in[:, :-1] * s_out[:, 1:] + k_out[:, 1:] * s_in[:, :-1]) / total
+    capacity: Array = contact.constant + contact.growth * passed[contact.point, contact.pair]
+    return np.maximum(capacity, LEAST_CAPACITY)
+
+
 class Concentrated(NamedTuple):
     """Concentrated friction of a pair of tubes at one arc length."""
 
@@ -154,7 +197,8 @@ def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None
     zeros = np.zeros((problem.size, bending + by_y.shape[1]))
     by_x = np.block([[problem.factor, zeros], [by_z, np.zeros((len(by_z), bending)), by_y]])
     section = np.repeat(problem.mesh.section[problem.mesh.collocated], DEGREE)
-    pair, point = np.nonzero((assembly.present[:, 1:] & (capacities["torque"] > 0))[section].T)
+    along = capacities["torque"] + capacities["by_moment"] > 0
+    pair, point = np.nonzero((assembly.present[:, 1:] & along)[section].T)
     rows, acting = [by_x[index[point, pair + 1]] - by_x[index[point, pair]]], []
     for part in concentrated:
         inner, outer = (problem.size + ends.index((j, part.arc_length)) for j in (part.pair, part.pair + 1))
@@ -163,13 +207,16 @@ def make_contact(assembly: Assembly, friction: Friction, loading: Loading | None
         if row @ row > 0:
             rows.append(row[None])
             acting.append(part)
+    constant = np.append(capacities["torque"][pair] * problem.weight[point], [part.capacity for part in acting])
     return Contact(
         problem=problem,
         friction=friction,
         loading=loading,
         loaded=under_load,
         rows=np.concatenate(rows),
-        capacity=np.append(capacities["torque"][pair] * problem.weight[point], [part.capacity for part in acting]),
+        capacity=constant,
+        constant=constant,
+        growth=np.append(capacities["by_moment"][pair] * problem.weight[point], np.zeros(len(acting))),
         arc_length=np.append(problem.arc_length[point], [part.arc_length for part in acting]),
         pair=np.append(pair, np.array([part.pair for part in acting], dtype=np.intp)),
         point=np.append(point, np.full(len(acting), -1)),
@@ -413,7 +460,9 @@ class BundleContact:
         """Places of the rows."""
         problem, n, friction = self.problem, self.problem.n, self.friction
         count, degree = len(problem.weight), problem.tableau.degree
-        torque, plate, jumps, ends = (np.array(friction.per_pair(name, n)) for name in PAIRWISE)
+        torque, plate, jumps, ends = (
+            np.array(friction.per_pair(name, n)) for name in ("torque", "plate", "jumps", "ends")
+        )
         long = ~np.isin(problem.point_section, [*problem.held])
         inner, outer = [], []
         point, up_to, at, limit = [], [], [], []

@@ -6,6 +6,7 @@ import numpy as np
 
 from ...block.transcription.arm import EXTRA_QUADRATURE_POINTS, ROUGHER, SUBSTEPS, gauss_fractions, hermite
 from ...block.transcription.collocated import ENDS, SHAPE_STEPS
+from ...block.transcription.contact import LEAST_CAPACITY
 from ...block.transcription.mesh import DETAIL_PER_ELEMENT, INWARDS, KNOWN, SAMPLES, TWIST_PER_ELEMENT
 from ...block.transcription.tableau import tableau
 from ...robots.lengthwise import gauss_rule
@@ -89,6 +90,7 @@ def slope_constants() -> str:
 def friction_constants() -> str:
     """Constants and tables of `friction.c`."""
     numbers = {
+        "LEAST_CAPACITY": LEAST_CAPACITY,
         "MOST_CHANGES": BOX_CHANGES,
         "HARDLY": SLIP_ROUND_OFF,
         "HONEST": FRICTION_TOLERANCE,

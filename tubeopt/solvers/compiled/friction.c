@@ -13,7 +13,7 @@ typedef struct {
     State state;
     Profile arm;
     int rows, pair[MOST_UNKNOWNS], point[MOST_UNKNOWNS], outer[MOST_UNKNOWNS], inner[MOST_UNKNOWNS];
-    double most[MOST_UNKNOWNS], torque[MOST_UNKNOWNS], turned[MOST_UNKNOWNS];
+    double most[MOST_UNKNOWNS], torque[MOST_UNKNOWNS], turned[MOST_UNKNOWNS]; /* largest torque, torque, rotation */
     signed char sign[MOST_UNKNOWNS];
     double alpha[N], shift[N], margin;       /* 0 where it is not known: a lower bound of it */
     double violation;                        /* of the laws of friction, as a slip (rad) or a part of the capacity */
@@ -51,18 +51,31 @@ static int begin_held(const Motion *m, const double *shift, Held *h) {
     h->rows = 0;
     for (int i = 0; i + 1 < N; i++)
         for (int x = 0; x < q->points; x++) {
-            if (!(f->torque[i] > 0) || !h->layout.across[q->piece[x]].present[i + 1]) continue;
+            if (!(f->torque[i] + f->by_moment[i] > 0) || !h->layout.across[q->piece[x]].present[i + 1]) continue;
             int r = h->rows++;
             if (filled_up(q->size) + filled_up(r + 2) > MOST_UNKNOWNS) return 0;
             h->pair[r] = i;
             h->point[r] = x;
             h->inner[r] = q->first[i] + q->place[x][i];
             h->outer[r] = q->first[i + 1] + q->place[x][i + 1];
-            h->most[r] = f->torque[i] * q->weight[x];
         }
     memcpy(h->shift, shift, sizeof h->shift);
     h->tangent = 0;
     return 1;
+}
+
+/* Largest torques of the rows in an increment: those of the bending moments at the rotations theta before it. */
+static void press(const Friction *f, Held *h, double (*theta)[N]) {
+    const Unknowns *q = &h->q;
+    for (int r = 0; r < h->rows; r++) {
+        int i = h->pair[r], x = h->point[r];
+        double direction[N], none[2] = {0}, passed[N] = {0};
+        for (int j = 0; j < N; j++) direction[j] = theta[x][j] + q->at[x].phase[j];
+        const double *in[] = {direction, q->at[x].stiffness, q->at[x].moment, none};
+        double *out[] = {passed};
+        if (f->by_moment[i] > 0) passed_moment(in, out, 0, 0, 0);
+        h->most[r] = fmax((f->torque[i] + f->by_moment[i] * passed[i]) * q->weight[x], LEAST_CAPACITY);
+    }
 }
 
 /* x <- x + P' y: what torques y of the rows do to the unknowns. */
@@ -304,6 +317,7 @@ static Held *step_held(Motion *m, const double *alpha, const double *shift) {
         to_unknowns(&h->q, alpha, h->state.theta, h->state.z);
     }
     memcpy(h->alpha, alpha, sizeof h->alpha);
+    press(&m->friction, h, w->theta);
     if (increment(h, guess, w) != SOLVED) return NULL;
     for (int i = 0; i < N; i++)
         for (int a = h->q.first[i]; a < h->q.first[i] + h->q.count[i]; a++) {
@@ -336,8 +350,9 @@ CASADI_SYMBOL_EXPORT size_t answer_size(void) { return sizeof(Answer); }
    of friction. -1 where the state is not one of these tubes. */
 CASADI_SYMBOL_EXPORT long long friction_motion(const Tubes *tubes, const double *friction, double pieces, long long count,
                                    const double *alpha, const double *shift, const long long *sizes, double *z,
-                                   double *torque, signed char *sign, const double *behind, double *out, Room *w) {
-    Motion m = {tubes, {friction, pieces}, w, (int)sizes[3], 0, 0};
+                                   double *torque, double *capacity, signed char *sign, const double *behind, double *out,
+                                   Room *w) {
+    Motion m = {tubes, {friction, friction + N - 1, pieces}, w, (int)sizes[3], 0, 0};
     Held *h = &w->held[0];
     int stations = (int)sizes[2], width = 3 * stations + 9 + N + 4;
     if (!begin_held(&m, shift, h) || h->q.size != sizes[0] || h->rows != sizes[1]) return -1;
@@ -366,6 +381,7 @@ CASADI_SYMBOL_EXPORT long long friction_motion(const Tubes *tubes, const double 
         row[12 + N] = h->violation;
         memcpy(z + k * MOST_UNKNOWNS, h->state.z, h->q.size * sizeof(double));
         memcpy(torque + k * MOST_UNKNOWNS, h->torque, h->rows * sizeof(double));
+        memcpy(capacity + k * MOST_UNKNOWNS, h->most, h->rows * sizeof(double));
         memcpy(sign + k * MOST_UNKNOWNS, h->sign, h->rows);
     }
     return count;

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from ...block.transcription.contact import ELEMENTS
+from ...physics.torsion import passed_moment_function
 from ...robots.concentric import Friction
 from ...robots.robot import Robot
 from ...typing import Array
@@ -18,7 +20,7 @@ from ..time_limit import check_time
 from .binding import address, memory_of, with_kernel
 from .constants import friction_constants
 from .library import MOST_TUBES, MOST_UNKNOWNS, Kernel, kernel_text, load_kernel
-from .text import HERE, with_included
+from .text import HERE, private, with_fresh_macros, with_included
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,8 @@ class FrictionStates:
     """Unknowns (K, M) of the states, padded."""
     torque: Array
     """Torques (K, M) of the friction rows, padded."""
+    capacity: Array
+    """Largest torques (K, M) of the friction rows, padded."""
     signs: Signs
     """Signs of slip (K, M) of the friction rows, padded."""
 
@@ -60,7 +64,10 @@ class FrictionStart(NamedTuple):
 
 def friction_source(n: int) -> str:
     """C text of the kernel for n concentric tubes with friction."""
-    return kernel_text(n) + friction_constants() + with_included(HERE / "friction.c")
+    generator = ca.CodeGenerator("passed.c")
+    generator.add(passed_moment_function(n))
+    functions = with_fresh_macros(private(generator.dump()), kernel_text(n))
+    return functions + friction_constants() + with_included(HERE / "friction.c")
 
 
 @lru_cache(maxsize=MOST_TUBES)
@@ -68,7 +75,7 @@ def _kernel(n: int) -> Kernel | None:
     kernel = load_kernel((n, "friction"), lambda: friction_source(n), np.dtype([]))
     if kernel is not None:
         pointer, whole = ctypes.c_void_p, ctypes.c_longlong
-        kernel.functions.friction_motion.argtypes = [*[pointer] * 2, ctypes.c_double, whole, *[pointer] * 9]
+        kernel.functions.friction_motion.argtypes = [*[pointer] * 2, ctypes.c_double, whole, *[pointer] * 10]
         kernel.functions.friction_motion.restype = whole
     return kernel
 
@@ -105,16 +112,16 @@ def friction_motion(
     if prepared is None or kernel is None:
         return None
     alpha, shift = (np.ascontiguousarray(part) for part in (joints[:, :n], joints[:, n:]))
-    capacity = np.array(friction.per_pair("torque", n - 1))
+    law = np.concatenate([friction.per_pair(name, n - 1) for name in ("torque", "by_moment")])
     sizes = np.array([len(unknowns), len(torque), len(behind), margins], dtype=np.int64)
-    states = np.zeros((2, len(joints), MOST_UNKNOWNS))
+    states = np.zeros((3, len(joints), MOST_UNKNOWNS))
     states[0, 0, : len(unknowns)], states[1, 0, : len(torque)] = unknowns, torque
     slips = np.zeros((len(joints), MOST_UNKNOWNS), dtype=np.int8)
     slips[0, : len(signs)] = signs
     out, behind = np.zeros((len(joints), 3 * len(behind) + 13 + n)), np.ascontiguousarray(behind)
-    arrays = [address(array) for array in (alpha, shift, sizes, states[0], states[1], slips, behind, out)]
+    arrays = [address(array) for array in (alpha, shift, sizes, *states, slips, behind, out)]
     pieces = ELEMENTS * 2.0**friction.refinement
-    scalars = prepared.address, address(capacity), pieces, len(joints)
+    scalars = prepared.address, address(law), pieces, len(joints)
     count = kernel.functions.friction_motion(*scalars, *arrays, memory_of(kernel).addresses[0])
     if count < 0:
         return None
@@ -130,5 +137,6 @@ def friction_motion(
         violation=violation[:, 0],
         unknowns=states[0, 1:count],
         torque=states[1, 1:count],
+        capacity=states[2, 1:count],
         signs=slips[1:count],
     )

@@ -139,9 +139,10 @@ static int add_pieces(const Tubes *t, Layout *l, int section, double from, doubl
     return 1;
 }
 
-/* Friction between neighbours: torque per length (N - 1), N, and along how many pieces two tubes rub at least. */
+/* Friction between neighbours: torque per length (N - 1), N, more of it per bending moment (N - 1), 1/m, and along how
+   many pieces two tubes rub at least. */
 typedef struct {
-    const double *torque;
+    const double *torque, *by_moment;
     double pieces;
 } Friction;
 
@@ -164,7 +165,7 @@ static int lay_out(const Tubes *t, const double *shift, const Friction *friction
         int collocated = here.bent >= (t->eccentric ? 1 : 2);
         for (int i = 0; i < N && friction; i++) here.curved[i] &= collocated; /* `curved` marks the unknowns */
         for (int i = 0; i + 1 < N && friction; i++) {
-            if (!(here.present[i + 1] && friction->torque[i] > 0)) continue;
+            if (!(here.present[i + 1] && friction->torque[i] + friction->by_moment[i] > 0)) continue;
             here.curved[i] = here.curved[i + 1] = collocated = 1;
             wanted = fmax(wanted, ceil(length * friction->pieces / l->end[i + 1] - 1e-9));
         }

@@ -25,7 +25,6 @@ def side_by_side(of_one: str, of_each: str) -> str:
 
     Their numbers are of the type Real, which has no constants, conditions or truth values of C.
     """
-    between = "".join(f"#undef {name}\n" for name in re.findall(r"#\s*define (\w+)", of_one))
     for pattern, by in (
         (r"=(-?\d[\d.e+-]*);", r"=REAL(\1);"),
         (r" : 0;", " : REAL(0.);"),
@@ -35,7 +34,13 @@ def side_by_side(of_one: str, of_each: str) -> str:
         (r"=\((\w+)\?(\w+):0\);", r"=CHOOSE(\1 != 0, \2, 0.);"),
     ):
         of_each = re.sub(pattern, by, of_each)
-    return f"{of_one}\n{between}#define casadi_real Real\n{of_each}"
+    return with_fresh_macros(of_one, f"#define casadi_real Real\n{of_each}")
+
+
+def with_fresh_macros(first: str, second: str) -> str:
+    """Text of two generated files: macros that the first defines are undefined before the second."""
+    between = "".join(f"#undef {name}\n" for name in re.findall(r"#\s*define (\w+)", first))
+    return f"{first}\n{between}{second}"
 
 
 def private(functions: str) -> str:
