@@ -236,3 +236,9 @@ def test_the_held_out_number_includes_the_choice_of_effects() -> None:
     assert result.fit is not None
     error = validate(result.fit.robot, session(9, drives, 400, true)).summary.rms
     assert result.chosen_anew.rms == pytest.approx(error, rel=0.1)
+    # The mean over sets predicts as it says, and is the fit where nearly all weight is on one set.
+    mean = validate(result.averaged, session(9, drives, 400, true)).summary.rms
+    assert result.averaged_anew.rms == pytest.approx(mean, rel=0.1)
+    assert sum(weight for weight, _ in result.weights) == pytest.approx(1.0)
+    assert mean == pytest.approx(error, rel=0.02)
+    assert result.settled

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tubeopt import InputError, forward_kinematics_batch, load_robot
+from tubeopt import ConcentricRobot, Friction, InputError, forward_kinematics_batch, load_robot
 from tubeopt.robots.calibration import Calibration
 from tubeopt.validation import (
     FitOptions,
@@ -18,6 +18,7 @@ from tubeopt.validation import (
     validate,
     where_to_measure,
 )
+from tubeopt.validation.effects import Setup
 from tubeopt.validation.fitting import FitProblem, hold_out, predicted_held_out
 from tubeopt.validation.measurements import Timeline, deal, passes, runs_of
 from tubeopt.validation.model import ParameterState
@@ -251,6 +252,28 @@ def test_sets_cost_what_full_fits_to_the_other_folds_lose() -> None:
     assert sets.explore()[0] == frozenset("a")
     assert 1 <= sets.inflation < 2
     assert sets.cost(frozenset("ab")) - sets.lost(frozenset("ab")) == pytest.approx(3 * sets.charge)
+    weighed = {kinds: weight for weight, kinds in sets.weighed()}
+    less = (sets.cost(frozenset("ab")) - sets.cost(frozenset("a"))) / (2 * sets.inflation)
+    assert weighed[frozenset("ab")] == pytest.approx(weighed[frozenset("a")] * np.exp(-less))
+    assert 0 < weighed[frozenset("ab")] < 0.5
+    assert sum(weighed.values()) == pytest.approx(1.0)
+    # Without each fold: the mean of predictions, between that of the best set and others.
+    anew = sets.chosen_anew()
+    assert anew.sets == (("a",),) * 4
+    assert 0 < np.abs(anew.averaged - anew.residuals).max() < 0.5 * np.abs(anew.residuals).max()
+
+
+def test_mean_of_setups_has_the_means_of_their_numbers() -> None:
+    drives = replace(Calibration.none(2), rotation_offsets=(0.1, 0.0), latency=0.2)
+    one, other = Setup.of(replace(robot(), calibration=drives, friction=Friction(0.004))), Setup.of(robot())
+    one.curvature[1] = 6.0
+    mean = Setup.mean([one, other], np.array([0.25, 0.75])).robot(robot())
+    assert isinstance(mean, ConcentricRobot)
+    assert [tube.curvature for tube in mean.tubes] == pytest.approx([9.0, 5.25])
+    assert mean.friction == Friction((0.001,))
+    assert mean.calibration is not None
+    assert mean.calibration.rotation_offsets == pytest.approx((0.025, 0.0))
+    assert mean.calibration.latency == pytest.approx(0.05)
 
 
 def test_a_comparison_in_the_plate_s_frame_begins_with_nothing_to_fit() -> None:

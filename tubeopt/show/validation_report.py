@@ -291,11 +291,6 @@ def _held_out(errors: ErrorSummary, axis: float | None) -> tuple[str, str]:
     return f"{errors.rms * TO_MM:.2f} mm", "" if axis is None else f"{np.degrees(axis):.2f} deg"
 
 
-def _alike(c: Comparison) -> int:
-    """Number of folds that can be left out without a change of the selected effects."""
-    return sum(set(kinds) == {step.effect for step in c.steps} for kinds in c.chosen_by_fold)
-
-
 def _length(c: Comparison) -> float:
     return c.fit.after.length if c.fit else float("nan")
 
@@ -315,7 +310,13 @@ EFFECTS_THAT_PAY = described(
              text="RMS {chosen_anew[rms_mm]:.2f} mm; the rows held out below took part in the choice of effects"),
     Quantity("chosen_by_fold", "effects that are chosen without each held-out block",
              lambda c: [list(kinds) for kinds in c.chosen_by_fold], label="same effects chosen",
-             text=lambda c: f"in {_alike(c)} of {len(c.chosen_by_fold)} choices without one block"),
+             text=lambda c: f"in {c.alike} of {len(c.chosen_by_fold)} choices without one block"),
+    Quantity("averaged_anew", "the same of the mean over sets of effects, as averaged.yaml has it",
+             lambda c: _summary(c.averaged_anew, _length(c)), label="held out, mean over sets of effects",
+             text=lambda c: f"RMS {c.averaged_anew.rms * TO_MM:.2f} mm"
+                            + ("" if c.settled else "; use it, since blocks disagree on the effects: averaged.yaml")),
+    Quantity("weights", "sets of effects and their weights in this mean",
+             lambda c: [{"weight": set_.weight, "effects": list(set_.effects)} for set_ in c.weights]),
     "dropped",
     Quantity("refused", "effects that do not reduce the held-out errors further",
              lambda c: [_step(s, _length(c)) for s in c.refused]),
@@ -344,9 +345,10 @@ class EffectsReport(Report[Comparison]):
         return [table, *(super().below() if c.fit is None else [FitReport(c.fit).table()])]
 
     def save(self, directory: Path) -> list[Path]:
-        """Write report.json, and residuals.csv and the calibrated robot.yaml where an effect pays."""
+        """Write report.json and averaged.yaml, and residuals.csv and the calibrated robot.yaml where an effect pays."""
         of_fit = [] if self.answer.fit is None else FitReport(self.answer.fit).save(directory)[1:]
-        return [self.save_record(directory), *of_fit]
+        save_robot(self.answer.averaged, directory / "averaged.yaml")
+        return [self.save_record(directory), *of_fit, directory / "averaged.yaml"]
 
     def pictures(self) -> dict[str, Drawing]:
         """Pictures of the effects; residuals and errors if an effect is useful."""

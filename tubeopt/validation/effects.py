@@ -7,9 +7,9 @@ All numbers on which a prediction depends are in `Setup`: drives, tubes, plate a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ import scipy
 
 from ..errors import InputError, without_unit_warnings
 from ..robots.assembly import DIMENSIONS, dimensions_of
-from ..robots.calibration import Calibration
+from ..robots.calibration import TABLES, Calibration
 from ..robots.concentric import ConcentricRobot, Friction, friction_of
 from ..robots.eccentric import BundleRobot, EccentricRobot, SegmentedEccentricRobot
 from ..robots.pieces import Piece
@@ -114,6 +114,22 @@ class Setup:
     def copy(self) -> Setup:
         """Copy that can be changed."""
         return deepcopy(self)
+
+    @classmethod
+    def mean(cls, setups: Sequence[Setup], weights: Array) -> Setup:
+        """Setup with the means of all numbers of several with the same tubes; weights (K,) with the sum 1."""
+
+        def averaged(each: Sequence[Any], names: Iterable[str]) -> dict[str, Any]:
+            values = {name: [getattr(one, name) for one in each] for name in names}
+            return {name: np.tensordot(weights, np.array(some), 1) for name, some in values.items()}
+
+        arrays = [field.name for field in fields(cls) if isinstance(getattr(setups[0], field.name), np.ndarray)]
+        drives = [setup.drives for setup in setups]
+        numbers = [field.name for field in fields(Calibration) if isinstance(getattr(drives[0], field.name), float)]
+        tables = [name for name in (*TABLES, *MOUNTS) if getattr(drives[0], name)]
+        mean = averaged(drives, [*numbers, *tables])
+        changed: dict[str, Any] = {name: float(x) if name in numbers else tuple(x.tolist()) for name, x in mean.items()}
+        return replace(setups[0], drives=replace(drives[0], **changed), **averaged(setups, arrays))
 
     def same_tubes(self, other: Setup) -> bool:
         """True if both have the same tubes and friction."""

@@ -50,14 +50,14 @@ from .comparison import (
     registration_error,
     validate,
 )
-from .effects import PER_RECORDING, Setup
+from .effects import PER_RECORDING, CommonRobot, Setup
 from .identifiability import doubts, entangled_history, least_certain, left_out, louder, undetermined
 from .learned import with_learned_priors
 from .measurements import Measurements, recordings_of
-from .model import ParameterState
+from .model import ArmModel, ParameterState
 from .parameters import Parameter, choose_parameters
 from .posterior import posterior_of
-from .registration import FIRST_GUESS, FREEDOMS, SENSOR_FRAME, BasePose
+from .registration import FIRST_GUESS, FREEDOMS, SENSOR_FRAME, BasePose, Registration
 from .sessions import Registrations, Sessions
 from .tube_shapes import MODES
 
@@ -573,13 +573,7 @@ class FitProblem:
     def _calibrated(self, k: int, posterior: Posterior | None) -> Robot:
         """Robot with all fitted numbers, including those of recording k in its calibration."""
         model, state = self.model.models[k], self.model.part(self.fit.state, k)
-        measurements = model.measurements
-        found_by = f"{len(measurements)} rows of {measurements.source or 'measurements'}"
-        setup = model.setup(state.x)
-        setup.drives = replace(setup.drives, registration=state.registration.saved(measurements.mark))
-        if measurements.orientation is not None and model.axis is not None:
-            setup.drives = replace(setup.drives, sensor_axis=tuple(model.axis.tolist()))
-        return replace(setup.robot(model.robot, found_by), posterior=posterior)
+        return replace(calibrated(model, model.setup(state.x), state.registration), posterior=posterior)
 
     def _spread(self) -> tuple[Array, Array]:
         """Standard errors (P,) and correlation (P, P) of the parameters; infinite and NaN for fixed ones."""
@@ -612,6 +606,16 @@ class FitProblem:
                 f"{reason}"
             )
         return messages
+
+
+def calibrated(model: ArmModel, setup: Setup, registration: Registration) -> CommonRobot:
+    """Robot with the numbers of a setup and the registration of a recording, without a posterior."""
+    measurements = model.measurements
+    found_by = f"{len(measurements)} rows of {measurements.source or 'measurements'}"
+    drives = replace(setup.drives, registration=registration.saved(measurements.mark))
+    if measurements.orientation is not None and model.axis is not None:
+        drives = replace(drives, sensor_axis=tuple(model.axis.tolist()))
+    return replace(replace(setup, drives=drives).robot(model.robot, found_by), posterior=None)
 
 
 def _estimates(

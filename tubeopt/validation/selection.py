@@ -40,8 +40,8 @@ from ..solvers.robust_least_squares import RobustDescent, Weights, bounded_step,
 from ..solvers.time_limit import LONG_TIME_LIMIT, limited
 from ..typing import Array, Index, Progress
 from .comparison import BLOCKS, ErrorSummary, check_registration, check_tubes, distances, registration_error
-from .effects import RUBBING
-from .fitting import BY_CHORDS, Fit, FitOptions, FitProblem, predicted_held_out, sessions, weigh
+from .effects import RUBBING, Setup
+from .fitting import BY_CHORDS, Fit, FitOptions, FitProblem, calibrated, predicted_held_out, sessions, weigh
 from .identifiability import left_out
 from .measurements import Measurements, joined, recordings_of
 from .model import ParameterState
@@ -65,6 +65,21 @@ STRONG_EVIDENCE = 10.0
 # A set is fitted if it is no more than so much worse to first order, in twice a log likelihood, which curvature of the
 # model may make up for.
 CROOKED = 30.0
+
+
+# Fraction of the folds that must agree on the effects.
+SETTLED = 0.8
+
+
+LEAST_WEIGHT = 1e-3
+"""Smallest weight of a set of effects in a mean."""
+
+
+class SetWeight(NamedTuple):
+    """Set of effects and its weight in a mean over sets."""
+
+    weight: float
+    effects: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -111,8 +126,28 @@ class Comparison(Displayed):
     """
     chosen_by_fold: Annotated[tuple[tuple[str, ...], ...], "effects that are chosen without each held-out block"]
     """Effects that all other folds choose, for every fold."""
+    averaged: Robot
+    """Robot with the means of all numbers over the sets of effects, by their weights, to first order around the fit.
+
+    Without a posterior. Where folds choose different effects, its mean predicts at least as well as one of them.
+    """
+    averaged_anew: ErrorSummary
+    """Held-out tip errors of such means, weighted and fitted without each fold, m."""
+    weights: tuple[SetWeight, ...]
+    """Sets of effects and their weights, largest first; without those below LEAST_WEIGHT."""
     folds: Annotated[int, "number of held-out blocks"]
     remarks: Annotated[tuple[str, ...], "remarks on the file"]
+
+    @property
+    def alike(self) -> int:
+        """Number of folds without which the same effects are chosen."""
+        chosen = {step.effect for step in self.steps}
+        return sum(set(kinds) == chosen for kinds in self.chosen_by_fold)
+
+    @property
+    def settled(self) -> bool:
+        """True if the same effects are chosen without at least four of five folds."""
+        return self.alike >= SETTLED * len(self.chosen_by_fold)
 
     @property
     def chosen(self) -> tuple[str, ...]:
@@ -372,9 +407,26 @@ class _Search:
             fit=result,
             chosen_anew=ErrorSummary.of(distances(self.model, anew.residuals)[0][:, 0]),
             chosen_by_fold=anew.sets,
+            averaged=self._averaged(),
+            averaged_anew=ErrorSummary.of(distances(self.model, anew.averaged)[0][:, 0]),
+            weights=tuple(SetWeight(w, tuple(k for k in self.known if k in kinds)) for w, kinds in self.sets.weighed()),
             folds=len(np.unique(self.fold)),
             remarks=(*joined(self.model.recordings).remarks, *(left_out(p) for p in self.idle)),
         )
+
+    def _averaged(self) -> Robot:
+        """Robot with the means over sets of effects; of several recordings as in the last."""
+        sets, model, state, setups = self.sets, self.slopes.model, self.slopes.state, list[Setup]()
+        weighed, turn = sets.weighed(), np.zeros(sets.free)
+        for weight, effects in weighed:
+            step = sets.fitted(effects)
+            kept = np.array([p.kind in effects for p in model.parameters], dtype=bool)
+            fewer = model.with_parameters([p for p, mine in zip(model.parameters, kept, strict=True) if mine])
+            x = (state.x + step[: sets.count])[kept]
+            setups.append(fewer.models[-1].setup(fewer.part(ParameterState(x, state.registration), -1).x))
+            turn += weight * step[sets.count : sets.count + sets.free]
+        setup = Setup.mean(setups, np.array([weight for weight, _ in weighed]))
+        return calibrated(model.models[-1], setup, state.registration.moved(turn).parts[-1])
 
     def _kept(self) -> tuple[SelectionStep, ...]:
         """Kept effects, in order of their gain."""
@@ -452,6 +504,8 @@ class ChosenAnew(NamedTuple):
 
     residuals: Array
     """(V, 3) residuals of every fold, by the set of effects chosen and fitted on the other folds."""
+    averaged: Array
+    """(V, 3) the same by the mean over sets of effects, weighted and fitted on the other folds."""
     sets: tuple[tuple[str, ...], ...]
     """Effects that the other folds choose for each fold."""
 
@@ -569,23 +623,45 @@ class HeldOutSets:
                 best = best_neighbour
         return sorted(self.known, key=self.cost)
 
+    def weighed(self, starts: Sequence[Effects] = ()) -> list[tuple[float, Effects]]:
+        """Weights of the explored sets with the sum 1, largest first, from their costs as log likelihoods.
+
+        Akaike weights (Burnham and Anderson, Model Selection and Multimodel Inference (2002)); rows with common errors
+        count for fewer.
+        """
+        explored = self.explore(starts)
+        cost = np.array([self.cost(effects) for effects in explored])
+        weight = np.exp((cost.min() - cost) / (2 * self.inflation))
+        kept = weight > LEAST_WEIGHT * weight.sum()
+        return [
+            (float(w), kinds)
+            for w, kinds, mine in zip(weight / weight[kept].sum(), explored, kept, strict=True)
+            if mine
+        ]
+
+    def fitted(self, effects: Effects) -> Array:
+        """(P + F + J,) change of parameters, registration and jumps by the fit of a set."""
+        return np.asarray(self._step(effects, self.squares.sum(0))[:-1] / self.scale)
+
     def chosen_anew(self) -> ChosenAnew:
         """Choice of effects and their fit, repeated without each fold."""
         sets = list[tuple[str, ...]]()
-        out, total = np.empty_like(self.residuals), self.squares.sum(0)
+        out, mean = np.empty_like(self.residuals), np.empty_like(self.residuals)
         columns = [self.slopes, *(jump[..., None] for jump in self.jumps.values())]
         for k, label in enumerate(np.unique(self.fold)):
             remaining = copy(self)
             remaining.squares, remaining.known = np.delete(self.squares, k, axis=0), {}
             # From none and from all: the current set was chosen with this fold. From none alone the descent stays at
             # effects that act like two others.
-            best = remaining.explore([Effects(), Effects(self.names)])[0]
+            weighed = remaining.weighed([Effects(), Effects(self.names)])
+            best = weighed[0][1]
             sets.append(tuple(kind for kind in self.names if kind in best))
-            step = self._step(best, total - self.squares[k])[:-1] / self.scale
+            average = sum(weight * remaining.fitted(effects) for weight, effects in weighed)
             mine = self.fold == label
             table = np.concatenate([column[mine] for column in columns], axis=2)
-            out[mine] = self.residuals[mine] + table @ step
-        return ChosenAnew(out, tuple(sets))
+            out[mine] = self.residuals[mine] + table @ remaining.fitted(best)
+            mean[mine] = self.residuals[mine] + table @ average
+        return ChosenAnew(out, mean, tuple(sets))
 
     def around(self, effects: Effects) -> list[Effects]:
         """Sets with one effect more, one less, or one replaced by another."""
