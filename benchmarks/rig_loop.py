@@ -200,7 +200,7 @@ def led(fleet: Fleet, law: HeatingLaw, feeler: Feeler, tables: Sequence[tuple[fl
     place, total, owed, waited = np.zeros(size, dtype=int), *np.zeros((3, size))
     low, high, top, ended = np.full(size, np.inf), np.full(size, -np.inf), np.full(size, -np.inf), np.zeros(size)
     reason = np.full(size, "", dtype="U20")
-    rows = np.arange(size)
+    rows, top_count = np.arange(size), min(law.bare_count, 249 - law.lost)
 
     def end(which: np.ndarray, why: str) -> None:
         fresh = which & (reason == "")
@@ -220,7 +220,7 @@ def led(fleet: Fleet, law: HeatingLaw, feeler: Feeler, tables: Sequence[tuple[fl
         end(late & (place >= first) & ~behind, "too cold")
         end(late, "behind schedule")
         now = planned[rows, at]
-        most = np.where(now > 0, np.clip(law.bare_count / np.maximum(now, 1e-9) - 1, 0.0, law.share), law.share)
+        most = np.where(now > 0, np.clip(top_count / np.maximum(now, 1e-9) - 1, 0.0, law.share), law.share)
         total = np.clip(total + law.integral * law.slot * error, -law.share, most)
         share = np.clip(law.proportional * error + total, -law.share, most)
         desired = now * np.maximum(1 + share, 0.0)

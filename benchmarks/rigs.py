@@ -39,7 +39,7 @@ from tubeopt.shaping.firmware.boards import Wiring, with_pulses
 from tubeopt.shaping.firmware.sketch_files import schedules
 from tubeopt.shaping.heating.controller import wilson
 from tubeopt.shaping.heating.cutout import cut_out
-from tubeopt.shaping.heating.sensors import SENSORS, Sensor, equipped
+from tubeopt.shaping.heating.sensors import Sensor, equipped, sensor_for
 from tubeopt.shaping.tube_fabrication import plan_tube
 from tubeopt.typing import Array
 
@@ -184,15 +184,23 @@ class Kept:
     silent: int
 
 
+def heated(tube: str, rig: Rig) -> Tube:
+    """Tube of a robot, or the rig's own."""
+    if tube == OWN:
+        assert rig.tube is not None
+        return rig.tube
+    robot, number = tube.rsplit(":", 1)
+    return load_robot(robot).tubes[int(number) - 1]
+
+
 def planned(tube: str, objective: str, rig: Rig) -> tuple[HeatingPlan, str]:
     """Plan of the rig's own tube, or of a robot's with the mold as drawn; and why mold and heating do not fit."""
     spec = HeatingSpec(objective=objective)
+    chosen = heated(tube, rig)
+    pulsed = with_pulses(rig, chosen, Wiring())
     if tube == OWN:
-        assert rig.tube is not None
-        return plan_heating(rig.tube, with_pulses(rig, rig.tube, Wiring()), spec), ""
-    robot, number = tube.rsplit(":", 1)
-    chosen = load_robot(robot).tubes[int(number) - 1]
-    made = plan_tube(chosen, with_pulses(rig, chosen, Wiring()), None, spec, number=int(number))
+        return plan_heating(chosen, pulsed, spec), ""
+    made = plan_tube(chosen, pulsed, None, spec, number=int(tube.rsplit(":", 1)[1]))
     return made.heating, made.disagreement
 
 
@@ -204,8 +212,9 @@ def loaded(file: str, volts: float | None) -> Rig:
     return replace(rig, battery=replace(rig.battery, open_circuit=curve))
 
 
-def measure(tube: str, objective: str, sensor: Sensor, rigs: int, seed: int, rig: Rig) -> Kept:
-    """Plan, design and use on drawn rigs."""
+def measure(tube: str, objective: str, name: str, rigs: int, seed: int, rig: Rig) -> Kept:
+    """Plan, design and use on drawn rigs; name: of the sensor."""
+    sensor = sensor_for(name, heated(tube, rig), rig)
     plan, disagreement = planned(tube, objective, equipped(rig, sensor))
     feedback = design_feedback(plan, sensor, samples=min(rigs, STATED), seed=seed)
     members = list(drawn(plan.tube, plan.rig, rigs, seed))
@@ -303,7 +312,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     results = [
-        measure(tube, objective, SENSORS[name](), options.rigs, options.seed, loaded(options.rig, options.volts))
+        measure(tube, objective, name, options.rigs, options.seed, loaded(options.rig, options.volts))
         for tube in options.tubes
         for objective in options.objectives
         for name in options.sensors

@@ -9,7 +9,6 @@ import pytest
 
 from benchmarks.rig_thermal import KELVIN, Bench, Fleet, wire_loss
 from benchmarks.rigs import OWN, loaded, measure
-from tubeopt import Thermocouple
 from tubeopt.shaping.heating.thermocouple import stem_loss
 
 from .heating_reference import TUBE, thesis_rig
@@ -17,7 +16,7 @@ from .heating_reference import TUBE, thesis_rig
 
 @pytest.mark.parametrize("objective", ["time", "margin"])
 def test_drawn_rigs_keep_the_window_or_say_so(objective: str) -> None:
-    found = measure(OWN, objective, Thermocouple(), 60, 3, loaded("thesis_calcium_silicate", None))
+    found = measure(OWN, objective, "thermocouple", 60, 3, loaded("thesis_calcium_silicate", None))
     assert found.share >= 0.95
     assert found.hottest < 560
     assert found.silent == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import os
 import re
 import shutil
@@ -13,6 +14,7 @@ import tty
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -20,9 +22,12 @@ import pytest
 from tubeopt import Feedback, HeatingPlan, HeatingSpec, InputError, SolveError, Thermocouple, load_rig, plan_heating
 from tubeopt.constants import ZERO_CELSIUS
 from tubeopt.runs.heating_run import HeatingRun, run_heating
-from tubeopt.runs.heating_study import ClosedLoopHeating
+from tubeopt.runs.heating_study import ClosedLoopHeating, ClosedLoopStudy, Heating, TubeParts
+from tubeopt.runs.workshop_file import rig_from_dict, rig_to_dict
+from tubeopt.shaping.firmware import boards
 from tubeopt.shaping.firmware.boards import (
     BOARDS,
+    Part,
     Wiring,
     coil_zener,
     converter_for,
@@ -30,6 +35,7 @@ from tubeopt.shaping.firmware.boards import (
     hall_slope,
     parts_list,
     pwm_frequency,
+    shared_parts,
 )
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine, SimulatedRig
 from tubeopt.shaping.firmware.sketch_files import (
@@ -40,7 +46,7 @@ from tubeopt.shaping.firmware.sketch_files import (
     tabled,
     write_sketch,
 )
-from tubeopt.shaping.heating.controller import HeatingLaw, LawState, decide
+from tubeopt.shaping.heating.controller import MOST_COUNT, HeatingLaw, LawState, decide
 from tubeopt.shaping.heating.counts import full_current
 from tubeopt.shaping.heating.cutout import (
     SHORTED_LIMIT,
@@ -49,6 +55,7 @@ from tubeopt.shaping.heating.cutout import (
     safe_supplies,
     stop_current,
 )
+from tubeopt.shaping.heating.rig import Battery
 from tubeopt.shaping.heating.thermal import FINE, ThermalModel, thermal_model
 from tubeopt.shaping.heating.uncertainty import ENSEMBLE, Uncertainty
 from tubeopt.show.heat_report import FeedbackReport, HeatingRunReport
@@ -581,3 +588,79 @@ def test_the_zener_of_the_coil_spares_its_transistor(rest: float) -> None:
     transistor, charged = np.ceil(2.5 * rest / 10) * 10, 1.15 * rest
     supply = charged if charged <= 15 else 12.0
     assert 5 < coil_zener(transistor, charged) < transistor - supply
+
+
+def test_a_sketch_that_must_not_run_says_so_where_it_is_compiled(tmp_path: Path) -> None:
+    tables = [(12.7, led().law.planned)]
+    assert "DO NOT RUN" not in schedule_header(plan(), led(), tables)
+    told = schedule_header(plan(), led(), tables, "the ramp is 9 K/s")
+    assert told.startswith("// DO NOT RUN: the ramp is 9 K/s\n#warning DO NOT RUN")
+    broken = replace(plan(), outcome=replace(plan().outcome, broken=("the ramp is 9 K/s",)))
+    held = ClosedLoopHeating(broken, led(), Wiring(), plan().rig.circuit.pwm_frequency)
+    FeedbackReport(held).save(tmp_path)
+    assert "9 K/s" in (tmp_path / "tube_heater/schedule.h").read_text().split("#ifndef")[0]
+
+
+def test_a_built_circuit_keeps_its_current_sensor_and_pulses() -> None:
+    """In rig.yaml of every tube, in the wiring of `heat firmware`, and in the header for the board."""
+    rig = replace(thesis_rig(), tube=TUBE)
+    built = replace(rig, circuit=replace(rig.circuit, hall_sensitivity=0.005, pwm_frequency=490.0))
+    assert pwm_frequency(Wiring(), rig) != 490.0
+    assert pwm_frequency(Wiring(), built) == pytest.approx(490.0, rel=0.01)
+    study = ClosedLoopStudy(kind="led_heating", rig=built)
+    assert (study.wiring().shunt_V_per_A, Wiring().shunt_V_per_A) == (0.005, None)
+    assert study.pulsed_rig().circuit.pwm_frequency == pytest.approx(490.0, rel=0.01)
+    steps = [_defined(board_header(wiring, plan()), "AMPERE_PER_STEP") for wiring in (study.wiring(), Wiring())]
+    assert steps[0] == pytest.approx(steps[1] * hall_slope(Wiring(), stop_current(TUBE, rig)) / 0.005)
+    wiring = Wiring(shunt_V_per_A=0.005)
+    part = TubeParts(1, Mock(), Mock(), Heating(plan()), ClosedLoopHeating(plan(), led(), wiring, 122.5))
+    assert part.rig.circuit.hall_sensitivity == 0.005
+    assert replace(part, led=None).rig.circuit.hall_sensitivity is None
+
+
+def test_parts_of_several_tubes_are_one_list_with_the_fuse_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cable for the larger current, but every fuse; where neither tube has both larger currents, both ratings."""
+    ratings = {1: ("10 A", "2.5 mm2"), 2: ("15 A", "6 mm2"), 3: ("20 A", "10 mm2")}
+    currents = {1: (28.0, 7.0), 2: (41.0, 9.0), 3: (30.0, 12.0)}
+    fakes: dict[str, Any] = {
+        "parts_list": lambda k, _: tuple(
+            Part(name, r, "") for name, r in zip(("fuse", "cable"), ratings[k], strict=True)
+        ),
+        "cut_out": lambda k: Mock(current=currents[k][0]),
+        "root_mean_square": lambda k: currents[k][1],
+    }
+    for name, fake in fakes.items():
+        monkeypatch.setattr(boards, name, fake)
+    plans: Any = {1: 1, 2: 2}
+    assert [part.rating for part in shared_parts(plans, Wiring())] == ["tube 1: 10 A; tube 2: 15 A", "6 mm2"]
+    plans = {2: 2, 3: 3}
+    assert shared_parts(plans, Wiring())[1].rating == "tube 2: 6 mm2; tube 3: 10 mm2"
+    assert [part.rating for part in shared_parts({1: plans[2]}, Wiring())] == ["15 A", "6 mm2"]
+
+
+def test_a_correction_beyond_full_pulses_does_not_wind_up() -> None:
+    """A tube far behind gets full pulses; when it has caught up, the count comes back at once."""
+    law = replace(led().law, planned=np.full(40, 200.0), reference=np.full(40, 500.0), hold=(1, 40), share=2.0,
+                  proportional=0.0, integral=0.01, lost=0.0, holdback=1e9, bare_count=math.inf)  # fmt: skip
+    state = LawState.start(1)
+    for _ in range(30):
+        count, state = decide(law, state, np.array([450.0]))
+    assert count[0] == MOST_COUNT
+    assert state.total[0] == pytest.approx(MOST_COUNT / 200 - 1)
+    assert _defined(schedule_header(plan(), led(), [(12.7, led().law.planned)]), "BARE_COUNT") <= MOST_COUNT
+
+
+def test_another_chemistry_needs_its_own_numbers() -> None:
+    own = {"open_circuit_V": [[0.1, 12.8], [1.0, 13.4]], "internal_resistance_mohm": 3, "sag_resistance_mohm": 2,
+           "sag_time_s": 20}  # fmt: skip
+    rig = rig_from_dict({"kind": "rig", "battery": {"chemistry": "lithium_iron_phosphate", **own}})
+    assert rig_from_dict(rig_to_dict(rig)) == rig
+    for missing in own:
+        kept = {key: value for key, value in own.items() if key != missing}
+        with pytest.raises(InputError, match=f"lithium_iron_phosphate battery without {missing}"):
+            rig_from_dict({"kind": "rig", "battery": {"chemistry": "lithium_iron_phosphate", **kept}})
+    with pytest.raises(InputError, match="chemistry of the battery is other"):
+        Battery(chemistry="other")
+    assert "lithium-iron-phosphate, 60 Ah, 3 mohm and 2 more after 20 s" in next(
+        part.rating for part in parts_list(replace(plan(), rig=replace(plan().rig, battery=rig.battery)), Wiring())
+    )

@@ -181,7 +181,10 @@ def test_a_tube_left_in_its_mold_cools_as_on_a_model_of_its_own() -> None:
         closed.pass_time(float(count), plan.spec.slot)
     opened = Bench(plan.tube, replace(plan.rig, mold=replace(plan.rig.mold, vents=(0.5,))))
     opened.state = closed.state.copy()
-    hottest = [bench.pass_time(0.0, LEFT)[-1].max() for bench in (closed, opened)]
+    cooling = [closed.pass_time(0.0, 0.25)[-1].max() for _ in range(round(LEFT / 0.25))]
+    hottest = [cooling[-1], opened.pass_time(0.0, LEFT)[-1].max()]
+    at = np.interp([-500.0, -400.0], -np.array(cooling), 0.25 * np.arange(1, len(cooling) + 1))
+    assert [found.latest, found.latest + found.passed] == pytest.approx(at, abs=0.5)
     assert [found.closed, found.opened] == pytest.approx(hottest, abs=8.0)
     assert 100 < found.opened < found.closed - 30
 

@@ -15,7 +15,17 @@ from scipy.integrate import solve_ivp
 from tubeopt import ConcentricRobot, InputError, MoldSpec, Piece, Tube, forward_kinematics, load_robot
 from tubeopt.shaping import Springback, plan_mandrel, predict_wound_tube, write_mandrel
 from tubeopt.shaping.materials import STEEL
-from tubeopt.shaping.mold.mandrel import Block, Cylinder, Mandrel, exits_of, mandrel_gcode, slot_depths, solid_off_curve
+from tubeopt.shaping.mold.mandrel import (
+    Block,
+    Cylinder,
+    Mandrel,
+    channel,
+    exits_of,
+    mandrel_gcode,
+    mandrel_part,
+    slot_depths,
+    solid_off_curve,
+)
 from tubeopt.shaping.mold.mold import chosen_tubes
 from tubeopt.show.fabrication_report import MandrelReport
 from tubeopt.show.plots.mold import plot_mandrel
@@ -240,3 +250,30 @@ def test_sheet_and_solid_of_a_block_agree_on_its_slot(made: tuple[Tube, Mandrel,
     assert [end.upper for end in rising] == [False, True]
     notched = any(end.notch is not None for end in exits_of(mandrel))
     assert ("with a notch" in " ".join(mandrel_steps(mandrel))) == notched
+
+
+def test_a_tube_is_lowered_into_the_slot_of_a_block(made: tuple[Tube, Mandrel, Path]) -> None:
+    """A tube comes from above to the floor of its groove, and a brush nearly as wide as the slot to the slopes."""
+    _, mandrel, _ = made
+    if isinstance(mandrel.body, Cylinder):
+        return
+    w, body = mandrel.winding, mandrel.body
+    assert body.slot > 1.8 * mandrel.width
+    assert mandrel.width == pytest.approx(mandrel.tube.outer_diameter + 0.15e-3)
+    solid, ups = mandrel_part(mandrel).solid(), np.tile([0.0, 0.0, 1.0], (len(w.points), 1))
+    tall = np.full(len(w.points), body.size[2])
+    radius = 0.5 * mandrel.tube.outer_diameter
+    lowered = channel(w.points, w.tangents, ups, tall, radius, 1e-6)
+    assert lowered.volume() > 1000 * (lowered ^ solid).volume()
+    assert (lowered ^ solid).volume() < 1e-3
+    slopes = radius + 0.5 * (body.slot - mandrel.width)
+    brush = channel(w.points + (slopes + 0.47 * body.slot) * ups, w.tangents, ups, tall, 0.47 * body.slot, 1e-5)
+    assert (brush ^ solid).volume() < 1e-3
+    # Below the slopes the walls hold the tube to the sides.
+    wide = channel(w.points, w.tangents, ups, np.full(len(w.points), radius), 0.6 * mandrel.width, 1e-6)
+    assert (wide ^ solid).volume() > 0.05 * wide.volume()
+    said = " ".join(mandrel_steps(mandrel))
+    assert f"widens at 45° to {1e3 * body.slot:g} mm" in said
+    assert mandrel_numbers(mandrel)["slot above the groove, width / depth of its floor"].startswith(
+        f"{1e3 * body.slot:g} / "
+    )

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from tubeopt import InputError, MoldSpec, load_robot, plan_mold
+from tubeopt.shaping.materials import STEEL
 from tubeopt.shaping.mold.files import draw_plate, halves, manifold, plate_part, write_mold
 from tubeopt.shaping.mold.gcode import programs, slot_deviation, slot_paths, stages_of
 from tubeopt.shaping.mold.groove import polygon
 from tubeopt.shaping.mold.mold import Mold, chosen_tubes
 from tubeopt.shaping.mold.spec import EndMill, HingeSpec, MillingSpec, PlateSpec, SlotSpec, WorkshopSpec
-from tubeopt.show.plots.sheets import groove_numbers, mold_steps
+from tubeopt.show.plots.sheets import groove_numbers, hole_rows, mold_steps, tool_rows
 from tubeopt.typing import Array
 
 pytest.importorskip("ezdxf")
@@ -217,3 +218,30 @@ def test_plates_without_room_for_hinges_are_refused() -> None:
         plan_mold(tube, replace(HINGED, plate=PlateSpec(size=(155e-3, 45e-3))))
     with pytest.raises(InputError, match=r"latch_diameter of the hinge is 7 mm; the nut of a bolt"):
         MoldSpec(hinge=HingeSpec(screw_diameter=3e-3, latch_diameter=7e-3))
+
+
+@pytest.mark.parametrize("slotted", [True, False], ids=["slot", "none"])
+def test_the_drawing_of_a_lid_says_that_it_is_mirrored_for_its_lower_face(slotted: bool) -> None:
+    spec = MoldSpec() if slotted else MoldSpec(slot=SlotSpec(wire=0.0))
+    texts = [text for _, text in draw_plate(plan_mold(load_robot("thesis_ctr").tubes[0], spec), "lid").texts]
+    assert any(text.startswith("seen from above, closed; mirror it to mill the lower face") for text in texts)
+
+
+@pytest.mark.parametrize("spec", [MoldSpec(), HINGED], ids=["bolted", "hinged"])
+def test_holes_are_as_deep_on_sheets_as_in_programs(spec: MoldSpec) -> None:
+    mold = plan_mold(load_robot("thesis_ctr").tubes[0], spec)
+    for part in ("base", "lid"):
+        listed = {-float(row[5]) for row in hole_rows(mold, part)}
+        cut = {1e3 * s.depth for s in stages_of(mold, part) if s.tool.startswith("drill")}
+        tabled = {float(row[7]) for row in tool_rows(mold) if row[0].startswith(part) and row[1].startswith("drill")}
+        assert sorted(listed) == pytest.approx(sorted(cut), abs=1e-9)
+        assert sorted(tabled) == pytest.approx(sorted(cut), abs=1e-9)
+
+
+def test_a_fast_router_drills_board_with_the_same_feed_per_turn_and_no_steel() -> None:
+    mold = plan_mold(load_robot("thesis_ctr").tubes[0])
+    (drill,) = [s for s in stages_of(mold, "lid") if s.tool.startswith("drill 5")]
+    (said,) = [step for step in mold_steps(mold) if "S8000" in step]
+    assert f"F{8000 * 1e3 * drill.feed / drill.spindle:.0f} (drill 2.8, 5.5)" in said
+    steel = plan_mold(load_robot("thesis_ctr").tubes[0], MoldSpec(material=STEEL))
+    assert any("use a drill press" in step for step in mold_steps(steel))

@@ -9,9 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Thermocouple, Tube
+from benchmarks.rig_thermal import Bench
+from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Thermocouple, Tube, load_robot
 from tubeopt.shaping import Springback, tube_fabrication
+from tubeopt.shaping.heating.plan import left_in_mold
 from tubeopt.shaping.heating.robust import SHORTEST_BARE, longest_bare_tube
+from tubeopt.shaping.heating.sensors import WIRES, equipped, thermocouple_for, wire_dip
 from tubeopt.shaping.heating.thermal import (
     FINE,
     GrooveAir,
@@ -20,11 +23,14 @@ from tubeopt.shaping.heating.thermal import (
     uniform_gap,
     uniform_gap_of,
 )
+from tubeopt.shaping.heating.thermocouple import reading_error
+from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode
 from tubeopt.shaping.mold.layout import open_area
-from tubeopt.shaping.mold.mold import plan_mold
+from tubeopt.shaping.mold.mold import plan_mold, plan_robot_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
-from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, plan_tube, rig_as_drawn
+from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, mold_spec_for, plan_tube, rig_as_drawn
 from tubeopt.show.plots.sheets import (
+    groove_numbers,
     heating_numbers,
     mold_steps,
     plot_fabrication_sheet,
@@ -238,3 +244,53 @@ def test_no_current_heats_what_is_no_metal() -> None:
     nylon = replace(TUBE.material, name="nylon", youngs_modulus=2e9, shear_modulus=0.7e9, thermal=None)
     with pytest.raises(InputError, match=r"nylon has no thermal constants, and its Young's modulus of 2 GPa"):
         plan_tube(replace(TUBE, material=nylon), thesis_rig(), heating=SHORT)
+
+
+def test_programs_aim_at_the_middle_of_the_limits_and_leave_room_for_the_tube() -> None:
+    """By the paths of the cutter in the program, and the limits of the sheet."""
+    mold = plan_mold([TUBE])
+    groove, numbers = mold.grooves[0], groove_numbers(mold.grooves[0], mold)
+    cuts = [m for m in read_gcode(groove_gcode(mold)) if m.feed is not None and m.piece.length > 0]
+    offsets = groove.cutter_offsets
+    cut = {"width": groove.mill.diameter + max(offsets) - min(offsets), "depth": -min(m.end for m in cuts)}
+    for name, size in cut.items():
+        low, high = (1e-3 * float(x) for x in numbers[f"limits of its {name}"].split(" to "))
+        assert 0.5 * (low + high) == pytest.approx(size, abs=1e-6)
+        assert TUBE.outer_diameter + 20e-6 < low < size - 20e-6
+
+
+def test_the_sheet_says_until_when_a_quench_helps() -> None:
+    left = left_in_mold(thesis_plan())
+    (line,) = [line for line in time_line(made_of(thesis_plan())) if "latest quench" in line]
+    assert f"latest quench: {left.latest:.1f} s after the hold" in line
+    assert "optional" in line
+    assert "measure its Af" in line
+
+
+def test_equal_tubes_are_made_in_one_mold() -> None:
+    found = plan_robot_mold(load_robot("thesis_etr"))
+    assert (found.made, found.making) == ((3,), ", make 3")
+    assert plan_robot_mold(load_robot("two_tube")).making == ""
+
+
+def test_a_thin_wall_takes_thin_wires_in_plan_slot_and_parts() -> None:
+    """Wires as thick as for a strong tube would cool its middle by a third of the window, which no board sees."""
+    rig, thin, thick = thesis_rig(), load_robot("thesis_ctr").tubes[0], TUBE
+    assert thermocouple_for(thick, rig) == Thermocouple()
+    sensor = thermocouple_for(thin, rig)
+    assert sensor.wire == 0.13e-3
+    low, high = reading_error(sensor.wire, sensor.anchor, 525.0, 25.0)
+    assert (sensor.correction, sensor.bias) == pytest.approx((-0.5 * (low + high), 0.5 * (high - low)), abs=0.05)
+    kept = equipped(rig, replace(Thermocouple(), wire=0.2e-3))
+    assert thermocouple_for(thin, kept).wire == 0.2e-3
+    spec = mold_spec_for(equipped(rig, sensor), thin, MoldSpec(), SHORT, None, rig)
+    assert spec.slot.wire == sensor.wire
+
+
+@pytest.mark.parametrize("wire", WIRES)
+def test_the_estimated_dip_by_the_wires_is_that_of_a_simulated_hold(wire: float) -> None:
+    plan = replace(thesis_plan(), rig=equipped(thesis_rig(), replace(Thermocouple(), wire=wire)))
+    bench = Bench(plan.tube, plan.rig)
+    for count in plan.duty[: round(plan.hold_end / plan.spec.slot)]:
+        hot = bench.pass_time(float(count), plan.spec.slot)[-1]
+    assert hot.max() - hot[-1] == pytest.approx(wire_dip(plan.tube, plan.rig, wire), rel=0.4, abs=1.0)

@@ -35,12 +35,12 @@ from ..shaping.heating.plan import HeatingPlan, slot_milliseconds
 from ..shaping.heating.planning import plan_heating
 from ..shaping.heating.rig import Rig
 from ..shaping.heating.robust import Band, assess, charge_tables, design_feedback, most_likely
-from ..shaping.heating.sensors import SENSORS, Sensor, equipped
+from ..shaping.heating.sensors import SENSORS, Sensor, equipped, sensor_for
 from ..shaping.heating.spec import HeatingSpec
 from ..shaping.heating.uncertainty import Uncertainty
 from ..shaping.materials import mold_material
 from ..shaping.mold.heat import heating_for
-from ..shaping.mold.mold import RobotMold, chosen_tubes
+from ..shaping.mold.mold import RobotMold, chosen_tubes, equal_tubes
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.tube_fabrication import TubeFabrication, plan_tube
 from ..typing import Progress
@@ -68,6 +68,14 @@ class Success:
     """Sensor of the feedback control; "" in open loop."""
     open_loop: float | None = None
     """Success probability without the sensor."""
+    silent: float = 0.0
+    """Fraction of the random rigs that miss without a report of the board."""
+
+    @classmethod
+    def led(cls, feedback: Feedback) -> Self:
+        """Success of a heating with a controller."""
+        f = feedback
+        return cls(f.probability, f.samples, f.sensor.name, f.open_loop, f.silent)
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -103,7 +111,7 @@ class Heating(Displayed):
         """Success probability with the plan's `feedback`, or in open loop; None if no rigs were sampled."""
         feedback = self.plan.feedback
         if feedback is not None:
-            return Success(feedback.probability, feedback.samples, feedback.sensor.name, feedback.open_loop)
+            return Success.led(feedback)
         return None if self.band is None else Success(self.band.probability, len(self.band.lowest))
 
 
@@ -175,9 +183,9 @@ SENSOR = Field(
 )
 
 
-def sensor_of(name: str | None) -> Sensor | None:
-    """Sensor of that name, with the typical error of its kind; None for None."""
-    return None if name is None else SENSORS[name]()
+def sensor_of(name: str | None, tube: Tube, rig: Rig) -> Sensor | None:
+    """Sensor of that name for a tube on a rig; None for None."""
+    return None if name is None else sensor_for(name, tube, rig)
 
 
 RigPath = Annotated[
@@ -273,15 +281,16 @@ class HeatingStudy(HeatedTube):
         if progress is not None:
             progress(0, 1 + len(charges) + (self.samples > 0))
         # Without a calibration all parameters are uncertain.
-        loss = self.in_si("loss_percent")
+        loss, tube, rig = self.in_si("loss_percent"), self.heated_tube(), self.configured_rig()
+        sensor = sensor_of(self.sensor, tube, rig)
         return evaluate_heating(
-            plan_heating(self.heated_tube(), equipped(self.configured_rig(), sensor_of(self.sensor)), self.spec()),
+            plan_heating(tube, equipped(rig, sensor), self.spec()),
             charges,
             progress,
             uncertainty=Uncertainty.of_a_workshop() if self.loss_percent is None else Uncertainty(**loss),
             samples=self.samples,
             scaled=self.robust,
-            sensor=sensor_of(self.sensor),
+            sensor=sensor,
         )
 
 
@@ -371,9 +380,9 @@ class ClosedLoopStudy(HeatedTube):
         return with_pulses(rig, self.heated_tube(), self.wiring(), self.si("pwm_Hz"))
 
     def _sensor(self) -> Sensor:
-        kind = SENSORS[choice("sensor", self.sensor, READS)]
+        sensor = sensor_for(choice("sensor", self.sensor, READS), self.heated_tube(), self.configured_rig())
         # A thermometer of known bias was compared with another one, in its slot: no correction is left.
-        return kind() if self.bias_K is None else kind(bias=self.si("bias_K"), correction=0.0)
+        return sensor if self.bias_K is None else replace(sensor, bias=self.si("bias_K"), correction=0.0)
 
     def wiring(self) -> Wiring:
         """Board and converter, with the current sensor of a built circuit."""
@@ -523,12 +532,9 @@ class FabricationStudy(Timed):
 
     @model_validator(mode="after")
     def _buildable(self) -> Self:
-        check_sample_count(self.samples, self._sensor())
+        check_sample_count(self.samples, None if self.sensor == OPEN else self.sensor)
         self._wiring()
         return self
-
-    def _sensor(self) -> Sensor | None:
-        return None if self.sensor == OPEN else sensor_of(self.sensor)
 
     def _wiring(self) -> Wiring:
         converter = converter_for(self.sensor) if self.sensor in READS else Wiring.converter
@@ -544,18 +550,20 @@ class FabricationStudy(Timed):
         spec = replace(heating_for(mold_spec.heat), objective=self.objective)
         # The key of the study has priority over the mold file.
         spec = spec if self.hold_s is None else replace(spec, hold_time=self.si("hold_s"))
-        charges, sensor, wiring = self.si("charges_percent"), self._sensor(), self._wiring()
+        charges, wiring = self.si("charges_percent"), self._wiring()
+        kind = None if self.sensor == OPEN else self.sensor
         chosen, left_out = chosen_tubes(self.robot)
-        rig, parts = equipped(self.rig, sensor), []
         # One circuit heats all tubes: its pulses are those of the tube that a shorted switch heats fastest.
-        frequency = max(pwm_frequency(wiring, replace(rig, tube=self.robot.tubes[number - 1])) for number in chosen)
-        rig = replace(rig, circuit=replace(rig.circuit, pwm_frequency=frequency))
+        frequency = max(pwm_frequency(wiring, replace(self.rig, tube=self.robot.tubes[n - 1])) for n in chosen)
+        pulsed, parts = replace(self.rig, circuit=replace(self.rig.circuit, pwm_frequency=frequency)), []
         for k, number in enumerate(chosen):
             if progress is not None:
                 progress(k, len(chosen))
             # Each tube has a mold of its own: its arc and its length of cold end decide the plate.
-            fabrication = plan_tube(self.robot.tubes[number - 1], rig, mold_spec, spec, number=number)
-            mold = RobotMold(fabrication.marked_mold, self.robot.name, ())
+            tube = self.robot.tubes[number - 1]
+            sensor = sensor_of(kind, tube, pulsed)
+            fabrication = plan_tube(tube, equipped(pulsed, sensor), mold_spec, spec, number=number)
+            mold = RobotMold(fabrication.marked_mold, self.robot.name, (), (equal_tubes(self.robot, number),))
             heating = evaluate_heating(fabrication.heating, charges, samples=self.samples, sensor=sensor)
             parts.append(TubeParts(number, fabrication, mold, heating))
         if self.sensor in READS:

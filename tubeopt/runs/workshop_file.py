@@ -25,21 +25,28 @@ from ..files.units import PER_M as ONE
 from ..files.yaml_file import load_yaml, save_yaml
 from ..shaping.heating.calibration import HeatingLog
 from ..shaping.heating.oven import Oven
-from ..shaping.heating.rig import Battery, Rig
+from ..shaping.heating.rig import LEAD_ACID, Battery, Rig
 from ..shaping.mold.measured_tube import MeasuredTube
 from ..shaping.mold.spec import MoldSpec
 from ..shaping.mold.springback import RADII, Calibration, Springback
 from ..typing import Array
 
+OWN_NUMBERS = "open_circuit_V", "internal_resistance_mohm", "sag_resistance_mohm", "sag_time_s"
+"""Keys that a battery must have unless it is a lead-acid one."""
+
 
 @keys_from(Battery)
 class BatteryEntry(Part):
-    """A lead-acid battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load."""
+    """A battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load."""
 
     voltage_V: Positive | None = Field(None, description="voltage at rest, instead of state_of_charge_percent")
 
     def build(self) -> Battery:
         """Battery in SI; a given voltage at rest determines its state of charge."""
+        chemistry = getattr(self, "chemistry", LEAD_ACID)
+        missing = [name for name in OWN_NUMBERS if name not in self.model_fields_set]
+        if chemistry != LEAD_ACID and missing:
+            raise ValueError(f"is a {chemistry} battery without {missing[0]}; defaults are those of lead_acid")
         battery: Battery = super().build()
         if self.voltage_V is None:
             return battery

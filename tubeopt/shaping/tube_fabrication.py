@@ -22,7 +22,7 @@ from .heating.plan import HeatingPlan, ageing_remarks
 from .heating.planning import plan_heating
 from .heating.rig import Rig
 from .heating.robust import longest_bare_tube
-from .heating.sensors import Thermocouple
+from .heating.sensors import thermocouple_for
 from .heating.spec import HeatingSpec
 from .heating.thermal import gap_transfer, groove_gap, square_groove_gap, uniform_gap_of, vent_profile
 from .materials import recipe_for
@@ -145,7 +145,7 @@ def plan_tube(
             # The tube as its groove holds it: its curved part is as long as the bend.
             plan = plan_heating(drawn.grooves[0].held, drawn_rig, heating)
             if longest is None and rig.mold.material.electrically_insulating:
-                longest = longest_bare_tube(plan, Thermocouple())
+                longest = longest_bare_tube(plan, thermocouple_for(heated, drawn_rig))
                 given, shortened = _with_short_bare_tube(given, longest)
                 remarks += shortened
         elif _consistent(drawn, plan):
@@ -202,6 +202,12 @@ def mold_spec_for(
     clearance = 2 * given.mold.play
     fits = spec.milling.end_mills[0].diameter <= tube.outer_diameter + clearance
     most_clearance = clearance if fits else max(clearance, spec.groove.most_clearance)
+    # The wires that draw heat in the plan lie in the slot of the lid.
+    slot = (
+        replace(spec.slot, wire=rig.mold.wire, anchor=rig.mold.anchor)
+        if rig.mold.wire and spec.slot.wire
+        else spec.slot
+    )
     return replace(
         spec,
         material=rig.mold.material,
@@ -211,6 +217,7 @@ def mold_spec_for(
         growth=None if feedback is None else feedback.growth,
         heat=heat,
         vents=vents,
+        slot=slot,
     )
 
 

@@ -20,6 +20,7 @@ from ..robots.tubes import Tube
 from ..runs.heating_study import Fabrication, TubeParts
 from ..runs.mold_study import MoldRanking
 from ..runs.workshop_file import save_rig, save_springback, save_trial, springback_to_dict
+from ..shaping.firmware.boards import shared_parts
 from ..shaping.materials import MoldMaterial
 from ..shaping.mold.checks import Check, pressing_strain
 from ..shaping.mold.files import write_mold
@@ -154,7 +155,7 @@ class MoldReport(Report[RobotMold]):
 
         mold, paths = self.answer.mold, [self.save_record(directory), *write_mold(self.answer.mold, directory)]
         numbers = ", ".join(str(groove.number) for groove in mold.grooves)
-        title = f"{self.answer.name or 'robot'}, tube {numbers}"
+        title = f"{self.answer.name or 'robot'}, tube {numbers}{self.answer.making}"
         paths.append(directory / "setup.pdf")
         plot_setup_sheet(mold, paths[-1], title=title)
         for part in PARTS:
@@ -523,18 +524,23 @@ class FabricationReport(Report[Fabrication]):
         )
 
     def save(self, directory: Path) -> list[Path]:
-        """Write robot.yaml, fabrication.json, and rig.yaml, sheet.pdf, passport.yaml and folders in tube_N/."""
-        from .plots.sheets import plot_fabrication_sheet
+        """Write robot.yaml, fabrication.json, parts.pdf; in tube_N/ rig.yaml, sheet.pdf, passport.yaml and folders."""
+        from .plots.sheets import plot_fabrication_sheet, plot_parts_sheet
 
         save_robot(self.answer.robot, directory / "robot.yaml")
         paths = [directory / "robot.yaml", self.save_record(directory)]
+        led = {part.number: part.led for part in self.answer.parts if part.led is not None}
+        if led:
+            paths.append(directory / "parts.pdf")
+            parts = shared_parts({k: of_tube.plan for k, of_tube in led.items()}, next(iter(led.values())).wiring)
+            plot_parts_sheet(parts, paths[-1], title=f"{self.answer.robot.name or 'robot'}, all tubes")
         for part in self.answer.parts:
             folder = directory / f"tube_{part.number}"
             for name, of_part in _of_tube(part).items():
                 paths += of_part.save(folder / name)
             paths.append(folder / "rig.yaml")
             save_rig(part.rig, paths[-1], f"The rig with the mold of tube {part.number} as drawn.")
-            title = f"{self.answer.robot.name or 'robot'}, tube {part.number}"
+            title = f"{self.answer.robot.name or 'robot'}, tube {part.number}{part.mold.making}"
             made = replace(part.fabrication, heating=part.heating.plan)
             success, faults = success_text(part.heating.success), _faults(part)
             equal = [text for text in self.answer.left_out if f"equal to tube {part.number} " in text]

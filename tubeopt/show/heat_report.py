@@ -185,7 +185,8 @@ def success_text(success: Success | None) -> str:
     if not success.sensor:
         return f"success: {fraction} {bounds}; open loop, without a sensor"
     alone = f"by the schedule alone {100 * (success.open_loop or 0):.0f} % of the same rigs do"
-    return f"success: {fraction} {bounds}; the sensor closes the loop ({success.sensor}); {alone}"
+    unseen = f"; {100 * success.silent:.1f} % MISS UNREPORTED" if success.silent else ""
+    return f"success: {fraction} {bounds}{unseen}; the sensor closes the loop ({success.sensor}); {alone}"
 
 
 def unlikely(success: Success | None) -> str:
@@ -438,8 +439,7 @@ class FeedbackReport(Report[ClosedLoopHeating]):
 
     def table(self) -> Group:
         """Table with the probability of success in closed and in open loop at its top."""
-        f = self.answer.feedback
-        success = success_text(Success(f.probability, f.samples, f.sensor.name, f.open_loop))
+        success = success_text(Success.led(self.answer.feedback))
         return Group(Text(success, style="bold"), super().table())
 
     def below(self) -> list[RenderableType]:
@@ -457,17 +457,23 @@ class FeedbackReport(Report[ClosedLoopHeating]):
     def save(self, directory: Path) -> list[Path]:
         """Write law.json and the sketch."""
         answer = self.answer
-        return [self.save_record(directory), *write_sketch(answer.plan, answer.feedback, answer.wiring, directory)]
+        sketch = write_sketch(answer.plan, answer.feedback, answer.wiring, directory, fault=self.fault)
+        return [self.save_record(directory), *sketch]
+
+    @property
+    def fault(self) -> str:
+        """Reason not to run the heating, as text; "" for one that is likely to succeed."""
+        answer, feedback = self.answer, self.answer.feedback
+        if not answer.plan.feasible:
+            return missed(answer.plan)
+        # A heating that often fails is no success, though the nominal rig keeps the window.
+        fault = unlikely(Success.led(feedback))
+        return "; ".join((*feedback.problems[:1], fault)) if fault else ""
 
     def conclude(self) -> None:
         """Raise SolveError if the schedule is infeasible on the nominal rig, or if most uncertain rigs fail."""
-        answer, feedback = self.answer, self.answer.feedback
-        if not answer.plan.feasible:
-            raise SolveError(missed(answer.plan))
-        # A heating that often fails is no success, though the nominal rig keeps the window.
-        success = Success(feedback.probability, feedback.samples, feedback.sensor.name, feedback.open_loop)
-        if fault := unlikely(success):
-            raise SolveError("; ".join((*feedback.problems[:1], fault)))
+        if self.fault:
+            raise SolveError(self.fault)
 
 
 OVEN = described(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from ...robots.tubes import Tube
 from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, digits, short_rise, stop_current
 from ..heating.plan import HeatingPlan
 from ..heating.rig import CHARGED, COUNTS, Battery, Rig
+from ..heating.thermocouple import WIRE
 
 CONVERTERS = {"max31855": 125, "max6675": 250, "analog": 20}
 """Converter of a thermocouple, or an analog line such as a camera's, and the smallest time between readings, ms.
@@ -314,6 +316,29 @@ def cable_of(plan: HeatingPlan) -> float:
     return next((size for size in CABLES if CURRENT_DENSITY * size >= largest), CABLES[-1])
 
 
+OWN_PARTS = "fuse", "thermal cut-out", "thermometer"
+"""Parts that every tube has for itself."""
+
+
+def shared_parts(plans: Mapping[int, HeatingPlan], wiring: Wiring) -> tuple[Part, ...]:
+    """Parts of one circuit that heats several tubes, by their numbers.
+
+    A part with different ratings has that of the tube with the largest current, if this tube also has the largest rms
+    current. Otherwise, and for `OWN_PARTS`, it has the rating of every tube.
+    """
+    lists = {number: parts_list(plan, wiring) for number, plan in plans.items()}
+    currents = {number: (cut_out(plan).current, root_mean_square(plan)) for number, plan in plans.items()}
+    peak, rms = max(plans, key=lambda number: currents[number]), max(plans, key=lambda number: currents[number][1])
+    shared = []
+    for parts in zip(*lists.values(), strict=True):
+        ratings = dict(zip(lists, (part.rating for part in parts), strict=True))
+        one = ratings[peak]
+        if len(set(ratings.values())) > 1 and (parts[0].name in OWN_PARTS or peak != rms):
+            one = "; ".join(f"tube {number}: {rating}" for number, rating in ratings.items())
+        shared.append(replace(parts[0], rating=one))
+    return tuple(shared)
+
+
 COIL_ZENERS = 24.0, 18.0, 15.0, 12.0, 10.0, 6.8, 5.1
 """Voltages of Zener diodes across a coil, V: the larger, the faster the contactor opens."""
 
@@ -339,7 +364,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         f"for {board.reference:g} V, fed by the board; its minus leg (magnetic) at T-; CS {board.pin('select')}, "
         f"CLK {board.pin('clock')}, DO {board.pin('data')}"
     )
-    couple = "thermocouple type K 0.25 mm, butt-welded, its junction insulated"
+    wires = 1e3 * (rig.mold.wire or WIRE)
+    couple = f"thermocouple type K {wires:g} mm, butt-welded, its junction insulated"
     sensor = {
         "max31855": f"{couple}, with MAX31855 on a module {module}",
         "max6675": f"{couple}, with MAX6675 on a module {module}",
@@ -374,8 +400,9 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         else ("in its 5 V line towards the board")
     )
     return (
-        Part("battery", f"lead-acid, {battery.capacity / 3600:g} Ah, {1e3 * battery.internal_resistance:g} mohm, "
-             f"{battery.open_circuit[-1][1]:.1f} V when full",
+        Part("battery", f"{battery.chemistry.replace('_', '-')}, {battery.capacity / 3600:g} Ah, "
+             f"{1e3 * battery.internal_resistance:g} mohm and {1e3 * battery.sag_resistance:g} more after "
+             f"{battery.sag_time:g} s, {battery.open_circuit[-1][1]:.1f} V when full",
              "as in the rig file: another one needs another plan"),
         Part("clamps", f"2, {1e3 * clamps.mass:g} g each, {1e4 * clamps.area:g} cm2 in air, of "
              f"{clamps.heat_capacity:g} J/(kg K){metal}; a flexible lead to the sliding one",

@@ -72,11 +72,14 @@ def _rows(name: str, values: Array) -> str:
     return f"static const uint16_t {name}[{len(numbers)}] PROGMEM = {{\n{body}}};\n"
 
 
-def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tuple[float, Array]]) -> str:
+def schedule_header(
+    plan: HeatingPlan, feedback: Feedback, tables: Sequence[tuple[float, Array]], fault: str = ""
+) -> str:
     """Text of schedule.h: tables, law and safety limits.
 
     Args:
         tables: voltage at rest, V, and effective counts (T,) of each, the fullest battery first.
+        fault: reason not to run the plan, for its top.
     """
     law, rig, sensor = tabled(feedback.law), plan.rig, feedback.sensor
     slot, ambient = slot_milliseconds(law.slot), rig.ambient - ZERO_CELSIUS
@@ -95,7 +98,7 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
         "PROPORTIONAL": _float(law.proportional),
         "INTEGRAL": _float(law.integral),
         "SHARE": _float(law.share),
-        "BARE_COUNT": _float(min(law.bare_count, 1000.0 * COUNTS)),
+        "BARE_COUNT": _float(min(law.bare_count, MOST_COUNT - law.lost)),
         "MOST_COUNT": f"{MOST_COUNT}u",
         "HALF": _float(HALF),
         "HOLDBACK": _float(law.holdback),
@@ -128,7 +131,8 @@ def schedule_header(plan: HeatingPlan, feedback: Feedback, tables: Sequence[tupl
     names = ", ".join(f"PLANNED_{k}" for k in range(len(tables)))
     lines = "".join(f"#define {name} {value}\n" for name, value in numbers.items())
     mark = hashlib.sha256((lines + body).encode()).hexdigest()[:12]
-    return f"""// Schedule and limits of one tube on one rig: {plan.rig.name or "rig"}.
+    return (f"// DO NOT RUN: {fault}\n#warning DO NOT RUN this heating: see schedule.h\n" if fault else "") + (
+        f"""// Schedule and limits of one tube on one rig: {plan.rig.name or "rig"}.
 // Times in ms, temperatures in degC, currents in A. Planned counts in 1/{CENTS}; temperatures of reference in
 // 1/{TENTHS} K above {COLDEST:g} degC.
 #ifndef SCHEDULE_H
@@ -159,6 +163,7 @@ static inline float reference_at(uint16_t k) {{
 
 #endif
 """
+    )
 
 
 def board_header(wiring: Wiring, plan: HeatingPlan) -> str:
@@ -206,21 +211,21 @@ def schedules(plan: HeatingPlan, feedback: Feedback) -> list[tuple[float, Array]
 
 
 def write_sketch(
-    plan: HeatingPlan, feedback: Feedback, wiring: Wiring, directory: Path, *, host: bool = False
+    plan: HeatingPlan, feedback: Feedback, wiring: Wiring, directory: Path, *, host: bool = False, fault: str = ""
 ) -> list[Path]:
     """Write the sketch into `directory`/tube_heater and return the paths.
 
     The PWM frequency is that of the plan's rig: the board must support it.
 
     Args:
-        host: also write host.cpp, which runs the sketch on a computer.
+        host: also write host.cpp, which runs the sketch on a computer. fault: reason not to run the plan.
 
     Raises:
         InputError: the slot is no whole number of milliseconds, or the pulse loss is too large.
     """
     folder = directory / NAME
     texts = {
-        "schedule.h": schedule_header(plan, feedback, schedules(plan, feedback)),
+        "schedule.h": schedule_header(plan, feedback, schedules(plan, feedback), fault),
         "board.h": board_header(wiring, plan),
     }
     sketch = resources.files(__package__) / "sketch"

@@ -81,7 +81,9 @@ class HeatingLaw:
 
     def largest(self, planned: Array) -> Array:
         """Largest corrections at planned counts, as fractions of them."""
-        allowed = self.bare_count / np.where(planned > 0, planned, math.inf) - 1
+        # A correction beyond the largest count would only wind up, and heat too much later.
+        most = min(self.bare_count, MOST_COUNT - self.lost)
+        allowed = most / np.where(planned > 0, planned, math.inf) - 1
         return np.where(planned > 0, np.clip(allowed, 0.0, self.share), self.share)
 
     @property
@@ -348,12 +350,15 @@ class Feedback(Displayed):
                 f"the battery of {given:.1f} V is too weak for molds that take much heat: there full pulses leave the "
                 f"tube behind its schedule. Take at least {needed:.1f} V, shorter leads, or a board that conducts less"
             )
-        if self.silent:
-            problems.append(
-                f"{100 * self.silent:.1f} % of the uncertain rigs miss window or limit, and the board does not report "
-                "it: measure the radius and Af of every tube, or calibrate the rig"
-            )
-        return tuple(problems)
+        return (*problems, *((self.unreported,) if self.silent else ()))
+
+    @property
+    def unreported(self) -> str:
+        """Message on the rigs that miss without a report."""
+        return (
+            f"{100 * self.silent:.1f} % of the uncertain rigs miss window or limit, and the board does not report "
+            "it: measure the radius and Af of every tube, or calibrate the rig"
+        )
 
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:

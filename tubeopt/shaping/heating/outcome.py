@@ -13,7 +13,7 @@ from ...constants import ZERO_CELSIUS
 from ...files.field_metadata import unit
 from ...physics.heat import GRIP
 from ...physics.heat_functions import CHARGE
-from .rig import COUNTS, Rig
+from .rig import COUNTS, LEAD_ACID, Rig
 from .simulation import History, resimulate
 from .spec import HeatingSpec
 from .thermal import ThermalModel, curved_temperatures, tube_extremes
@@ -183,7 +183,7 @@ def remarks(rig: Rig, history: History, mold_temperature: float) -> tuple[str, .
             f"the heating takes {100 * used:.0f} % of the battery's capacity; the battery has "
             f"{100 * rig.battery.state_of_charge:.0f} %"
         )
-    elif left < MIN_CHARGE:
+    elif left < MIN_CHARGE and rig.battery.chemistry == LEAD_ACID:
         messages.append(
             f"the battery is left with {100 * left:.0f} % of its charge; below {100 * MIN_CHARGE:.0f} % lead-acid "
             "batteries suffer"

@@ -358,7 +358,14 @@ class LeftInMold(NamedTuple):
     closed: float
     opened: float
     """Lid opened at the end of the hold: the upper half of the tube is in air."""
+    latest: float
+    """Time after the hold at which the tube in the closed mold enters the range of ageing, s."""
+    passed: float
+    """Time that it then takes to leave this range, s; infinite if it takes longer than the shortest ageing."""
 
+
+LEFT_STEP = 0.25
+"""Step of the temperatures of a tube in its mold, s."""
 
 LEFT, OPENED = 10.0, 0.5
 """Time in the mold after the hold, s, and fraction of the surface that an opened lid leaves in air."""
@@ -371,7 +378,18 @@ def left_in_mold(plan: HeatingPlan) -> LeftInMold:
     heated = simulate(closed, plan.spec.slot, plan.duty[: round(plan.hold_end / plan.spec.slot)] / COUNTS).state(-1)
     both = State(*(np.concatenate([part, part]) for part in (heated.cells, heated.lumped)))
     after = advance(stack([closed, thermal_model(plan.tube, opened)]), both, 0.0, LEFT)
-    return LeftInMold(*(after.cells[..., 0].max(1) - ZERO_CELSIUS).tolist())
+    low, high = AGEING_DEGC
+    state, times, hottest = heated, [0.0], [float(heated.cells[..., 0].max()) - ZERO_CELSIUS]
+    while hottest[-1] > low and times[-1] < 2 * SHORTEST_AGEING:
+        step = LEFT_STEP if times[-1] < LEFT else 10 * LEFT_STEP
+        state = advance(closed, state, 0.0, step)
+        times.append(times[-1] + step)
+        hottest.append(float(state.cells[..., 0].max()) - ZERO_CELSIUS)
+    # Temperatures fall, and np.interp needs them to rise.
+    latest, end = np.interp([-high, -low], -np.array(hottest), times).tolist()
+    passed = end - latest if hottest[-1] <= low and end - latest < SHORTEST_AGEING else math.inf
+    shut, open_ = (after.cells[..., 0].max(1) - ZERO_CELSIUS).tolist()
+    return LeftInMold(shut, open_, latest, passed)
 
 
 class Ageing(NamedTuple):

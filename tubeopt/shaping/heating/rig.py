@@ -21,6 +21,7 @@ from ...files.field_metadata import (
     POSITIVE,
     REQUIRED,
     Named,
+    OneOf,
     Range,
     Typical,
     Written,
@@ -74,14 +75,27 @@ OPEN_CIRCUIT = (
 """Pairs (state of charge, V) of a rested 12 V flooded lead-acid battery: Trojan Battery Company, User's Guide."""
 
 
+LEAD_ACID = "lead_acid"
+CHEMISTRIES = (LEAD_ACID, "lithium_iron_phosphate", "lithium_ion", "other")
+"""Chemistries of batteries; only of lead-acid ones there are default numbers."""
+
+
 @dataclass(frozen=True)
 class Battery:
-    """A lead-acid battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load.
+    """A battery: open-circuit voltage over charge, a resistance, and a sag that builds up under load.
+
+    Without numbers it is a 12 V lead-acid battery.
 
     Raises:
         InputError: a value is out of its range, or the table is not increasing.
     """
 
+    chemistry: Annotated[
+        str,
+        OneOf(CHEMISTRIES),
+        "chemistry of the cells; defaults of other keys are those of lead_acid. Another chemistry requires "
+        "open_circuit_V, internal_resistance_mohm, sag_resistance_mohm and sag_time_s",
+    ] = LEAD_ACID
     capacity: Annotated[
         float,
         unit("Ah"),
@@ -107,6 +121,8 @@ class Battery:
 
     def __post_init__(self) -> None:
         check_fields(self, "the battery")
+        if self.chemistry != LEAD_ACID and self.open_circuit == OPEN_CIRCUIT:
+            raise InputError(f"chemistry of the battery is {self.chemistry}, and open_circuit is not given; it must be")
         try:
             table = np.array(self.open_circuit, dtype=float)
         except (TypeError, ValueError):

@@ -6,6 +6,7 @@ without these, a function of the state of the thermal model.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -16,11 +17,12 @@ from ...constants import ZERO_CELSIUS
 from ...display import Displayed
 from ...errors import InputError, numbers
 from ...files.field_metadata import NOT_NEGATIVE, POSITIVE, Typical, check_fields, key, unit
+from ...robots.tubes import Tube
 from ...typing import Array
-from .rig import Rig
+from .rig import HOT, Rig
 from .simulation import State, advance, at_rest, circuit_state
-from .thermal import ThermalModel
-from .thermocouple import ANCHOR, WIRE
+from .thermal import ThermalModel, thermal_data
+from .thermocouple import ANCHOR, WIRE, reading_error, stem_loss
 
 
 def lagged_reading(lag: ArrayLike, reading: Array, target: Array, target_after: Array, span: float) -> Array:
@@ -208,6 +210,53 @@ class TubeResistance(Sensor):
         start = T_amb - ZERO_CELSIUS
         # Relative to the resistance at the temperature at which the rig was switched on.
         return np.asarray(start + (ratio - 1) * (1 / self.slope + start - 25.0))
+
+
+WIRES = (WIRE, 0.13e-3)
+"""Common diameters of thermocouple wires, m, the stronger one first."""
+
+MOST_DIP = 12.0
+"""Largest fall of the tube's temperature by the wires, K: a quarter of a window of 50 K."""
+
+WINDOW = 525.0
+"""Temperature for which a thermocouple's error is computed, degC."""
+
+
+def wire_dip(tube: Tube, rig: Rig, wire: float) -> float:
+    """Estimated fall (K) of the temperature of a hot tube at a thermocouple with wires of a diameter, m.
+
+    The legs draw heat evenly over their length. The mold lets as much heat pass as a cylinder into which it has
+    diffused for `SETTLED` s, and the wall conducts it along the tube.
+    """
+    mold, data = rig.mold.material, thermal_data(tube)
+    radius = 0.5 * tube.outer_diameter
+    diffusivity = mold.conductivity / (mold.density * mold.heat_capacity)
+    loss = 2 * math.pi * mold.conductivity / math.log1p(2 * math.sqrt(diffusivity * SETTLED) / radius)
+    section = math.pi / 4 * (tube.outer_diameter**2 - tube.inner_diameter**2)
+    reach = math.sqrt(data.conductivity * section / loss)
+    drawn = HOT * stem_loss(wire, ANCHOR).conductance / (2 * ANCHOR)
+    return drawn / loss * -math.expm1(-ANCHOR / reach)
+
+
+SETTLED = 60.0
+"""Duration of a usual hold, s."""
+
+
+def thermocouple_for(tube: Tube, rig: Rig) -> Thermocouple:
+    """Thermocouple for a tube, with correction and bias of its wires: those of the rig's mold, if it has any.
+
+    Otherwise the thickest of `WIRES` that cools the tube by at most `MOST_DIP`, or the thinnest one.
+    """
+    wire = rig.mold.wire or next((w for w in WIRES if wire_dip(tube, rig, w) <= MOST_DIP), WIRES[-1])
+    anchor = rig.mold.anchor
+    low, high = reading_error(wire, anchor, WINDOW, 25.0)
+    return Thermocouple(wire=wire, anchor=anchor, correction=round(-0.5 * (low + high), 1),
+                        bias=round(0.5 * (high - low), 1))  # fmt: skip
+
+
+def sensor_for(name: str, tube: Tube, rig: Rig) -> Sensor:
+    """Sensor of a kind for a tube on a rig, with the typical error of its kind."""
+    return thermocouple_for(tube, rig) if name == Thermocouple.name else SENSORS[name]()
 
 
 def equipped(rig: Rig, sensor: Sensor | None) -> Rig:

@@ -19,6 +19,9 @@ OVERRUN = 1e-3
 HOLDER = 5e-3
 """Space next to a tool for its holder, m."""
 
+LEAST_TOLERANCE = 1e-5
+"""Smallest tolerance of a groove, m: that of the cutter's path."""
+
 THROUGH = 0.5e-3
 """Depth of cuts through a plate into the board below, m."""
 
@@ -74,6 +77,14 @@ def choose_mill(number: int, tube: Tube, spec: MoldSpec) -> tuple[EndMill, float
         f"groove of tube {number}: outer diameter {tube.outer_diameter * 1e3:g} mm and at "
         f"most {spec.groove.most_clearance * 1e3:g} mm of clearance"
     )
+
+
+def fit_tolerance(spec: MoldSpec) -> float:
+    """Allowed deviation (m) of width and depth of a groove from the programmed ones, to both sides.
+
+    Half the clearance: at the lower limit the other half is left around the tube.
+    """
+    return max(0.5 * spec.groove.clearance, LEAST_TOLERANCE)
 
 
 def groove_depth(tube: Tube, spec: MoldSpec) -> float:

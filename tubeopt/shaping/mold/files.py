@@ -17,6 +17,7 @@ from ...errors import InputError, SolveError, import_extra
 from ...files.files import atomic_write, left_out_where_missing, write_text
 from ...files.units import TO_MM
 from ...typing import Array
+from .checks import fit_tolerance
 from .gcode import checked_programs
 from .groove import Arc, Point, closed, directed_distance, leads_to_edge, outline_of, polygon
 from .mold import PARTS, Clamp, Groove, Mold, clamp_corners
@@ -70,6 +71,13 @@ def draw_plate(mold: Mold, part: str) -> Drawing:
     )
 
 
+def asymmetric(mold: Mold) -> bool:
+    """True if a lid that is turned over about a vertical line differs from the lid."""
+    holes = {(*np.round(hole.centre, 6).tolist(), hole.diameter) for hole in mold.lid_holes}
+    mirrored = {(round(mold.size[0] - x, 6), y, diameter) for x, y, diameter in holes}
+    return bool(mold.slots) or mirrored != holes
+
+
 def halves(mold: Mold) -> tuple[tuple[float, float], ...]:
     """Lower and upper edge (m) of a hinged lid, and of its strip; of a bolted lid alone."""
     if mold.hinge is None:
@@ -111,13 +119,15 @@ def _texts(mold: Mold, part: str) -> list[tuple[Point, str]]:
     lines += [
         f"tube {groove.number}: OD {groove.tube.outer_diameter * TO_MM:g}, mold radius {groove.radius * TO_MM:.3f}, "
         f"bend {math.degrees(groove.bend_angle):.3f} deg, groove {groove.width * TO_MM:.3f} wide "
-        f"{groove.depth * TO_MM:.3f} deep, end mill {groove.mill.diameter * TO_MM:g}, cut tube to "
-        f"{groove.stock_length * TO_MM:.1f} mm"
+        f"{groove.depth * TO_MM:.3f} deep (both +-{fit_tolerance(spec) * TO_MM:.3f}), end mill "
+        f"{groove.mill.diameter * TO_MM:g}, cut tube to {groove.stock_length * TO_MM:.1f} mm"
         for groove in mold.grooves
     ]
     if part == "lid":
-        mirror = "; mirror it to mill the lower face, as lid_holes.pdf and the programs do" if mold.slots else ""
-        lines.append(f"seen from above, as it lies on the closed mold{mirror}")
+        mirror = "; mirror it to mill the lower face" if asymmetric(mold) else ""
+        if mold.slots:
+            mirror += ", as lid_holes.pdf and the programs do"
+        lines.append(f"seen from above, closed{mirror}")
         lines += [
             f"slot for a thermocouple in the lower face: {slot.mill.diameter * TO_MM:g} wide, "
             f"{slot.depth * TO_MM:g} deep, {slot.centreline.length * TO_MM:.1f} mm long"

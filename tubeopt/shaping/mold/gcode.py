@@ -169,8 +169,11 @@ def drill_diameter(hole: Hole) -> float:
 
 
 def drill_depth(diameter: float, thickness: float) -> float:
-    """Depth (m) of the point of a drill of a `diameter` below the face of a plate of a `thickness`, m."""
-    return thickness + THROUGH + POINT * diameter
+    """Depth (m) of the point of a drill of a `diameter` below the face of a plate of a `thickness`, m.
+
+    Rounded up to 0.1 mm here, so that sheets and programs have the same number.
+    """
+    return math.ceil((thickness + THROUGH + POINT * diameter) * 1e4 - 1e-6) / 1e4
 
 
 def programs(mold: Mold, part: str) -> list[Program]:

@@ -64,6 +64,10 @@ BLOCK_SLOPE = 0.8
 SHANK = 25e-3
 """Length of a turned mandrel in the chuck, m."""
 
+# A brush, and a strip that presses the tube to the floor, need some mm. Turns that pass near each other allow less.
+SLOTS = (6e-3, 4e-3, 3e-3, 2e-3)
+"""Widths (m) of the slot above the groove of a printed block, the preferred one first."""
+
 
 @dataclass(frozen=True, eq=False)
 class Winding:
@@ -163,6 +167,8 @@ class Block:
 
     size: tuple[float, float, float]
     """Lengths along x, y and z, m."""
+    slot: float
+    """Width of the slot above the groove, m: its walls rise at 45 deg from the top of the tube, then upright."""
 
 
 @dataclass(frozen=True)
@@ -275,6 +281,8 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
         body, winding = _cylinder(held, helix, width, spec)
         checks += _wall_checks(number, held, helix, body, width, spec)
     else:
+        # The middle of the limits: a print shrinks, and deviates to both sides.
+        width = tube.outer_diameter + 0.5 * (spec.groove.clearance + spec.groove.most_clearance)
         lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
         body, winding = _block(number, held, lead, width, spec)
     refuse_failed(checks)
@@ -380,41 +388,48 @@ def _wall_checks(
 
 
 def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -> tuple[Block, Winding]:
-    """Smallest block, over the open sides that make the whole groove accessible."""
+    """Smallest block with the widest slot, over the open sides that make the whole groove accessible."""
     bend = bend_in_space(held).with_leads(lead, lead)
-    best: tuple[float, Block, Winding] | None = None
-    for up in _sides(bend.points, BLOCK_SIDES):
-        steep = np.abs(bend.tangents @ up).max() > BLOCK_SLOPE
-        if steep or _overlaps_in_view(bend, up, width + spec.groove.wall):
-            continue
-        chord = bend.points[-1] - bend.points[0]
-        x = chord - (chord @ up) * up
-        x = x / np.linalg.norm(x)
-        turned = bend.moved(np.vstack([x, np.cross(up, x), up]), np.zeros(3))
-        rim = width / 2 + spec.groove.wall
-        # The leads end at the sides of the block, clear of its corners.
-        low, high = turned.points.min(axis=0), turned.points.max(axis=0)
-        inner = turned.points[turned.bend]
-        low[0], high[0] = min(low[0], inner[:, 0].min() - rim), max(high[0], inner[:, 0].max() + rim)
-        low[1], high[1] = low[1] - rim, high[1] + rim
-        sides = tuple(high[:2] - low[:2])
-        extra = []
-        for k, sign in ((0, -1), (-1, 1)):
-            end, outward = turned.points[k, :2] - low[:2], sign * turned.tangents[k, :2]
-            extra.append(max(distance_to_edge(end, outward, sides), 0.0))
-        low[2] -= width / 2 + spec.groove.floor
-        high[2] += width / 2
-        size = high - low
-        if best is None or size.prod() < best[0]:
-            winding = turned.moved(np.eye(3), -low).with_leads(lead + extra[0], lead + extra[1])
-            best = float(size.prod()), Block((float(size[0]), float(size[1]), float(size[2]))), winding
-    if best is None:
-        raise InputError(
-            f"the groove of tube {number} is not accessible from any side of a block. Use a "
-            f"helix of at least {(width / 2 + spec.groove.floor) * 1e3:.3g} mm radius on a "
-            "turned mandrel, or a curve without overlap in one view"
-        )
-    return best[1], best[2]
+    flat = [up for up in _sides(bend.points, BLOCK_SIDES) if np.abs(bend.tangents @ up).max() <= BLOCK_SLOPE]
+    # Without room for a wider one the slot is as wide as the groove.
+    for slot in (*(each for each in SLOTS if each > width), width):
+        # A wall stays between a slot and the groove beside it, and no slot cuts its own inner wall.
+        apart = max(slot, (slot + width) / 2 + spec.groove.wall)
+        blocks = [_block_below(bend, up, lead, (width, slot), spec) for up in flat if not _overlaps(bend, up, apart)]
+        if blocks:
+            return min(blocks, key=lambda block: math.prod(block[0].size))
+    raise InputError(
+        f"the groove of tube {number} is not accessible from any side of a block. Use a "
+        f"helix of at least {(width / 2 + spec.groove.floor) * 1e3:.3g} mm radius on a "
+        "turned mandrel, or a curve without overlap in one view"
+    )
+
+
+def _block_below(
+    bend: Winding, up: Array, lead: float, widths: tuple[float, float], spec: MoldSpec
+) -> tuple[Block, Winding]:
+    """Smallest block with its open side along `up`, and the groove in it; widths of groove and slot, m."""
+    width, slot = widths
+    chord = bend.points[-1] - bend.points[0]
+    x = chord - (chord @ up) * up
+    x = x / np.linalg.norm(x)
+    turned = bend.moved(np.vstack([x, np.cross(up, x), up]), np.zeros(3))
+    rim = slot / 2 + spec.groove.wall
+    # The leads end at the sides of the block, clear of its corners.
+    low, high = turned.points.min(axis=0), turned.points.max(axis=0)
+    inner = turned.points[turned.bend]
+    low[0], high[0] = min(low[0], inner[:, 0].min() - rim), max(high[0], inner[:, 0].max() + rim)
+    low[1], high[1] = low[1] - rim, high[1] + rim
+    sides = tuple(high[:2] - low[:2])
+    extra = []
+    for k, sign in ((0, -1), (-1, 1)):
+        end, outward = turned.points[k, :2] - low[:2], sign * turned.tangents[k, :2]
+        extra.append(max(distance_to_edge(end, outward, sides), 0.0))
+    low[2] -= width / 2 + spec.groove.floor
+    high[2] += width / 2
+    size = high - low
+    winding = turned.moved(np.eye(3), -low).with_leads(lead + extra[0], lead + extra[1])
+    return Block((float(size[0]), float(size[1]), float(size[2])), slot), winding
 
 
 def _sides(points: Array, count: int) -> Array:
@@ -427,8 +442,8 @@ def _sides(points: Array, count: int) -> Array:
     return np.vstack([axes, -axes, np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])])
 
 
-def _overlaps_in_view(curve: Winding, up: Array, width: float) -> bool:
-    """True if a groove of `width` (m), seen along `up`, overlaps itself or bends tighter than half its width."""
+def _overlaps(curve: Winding, up: Array, width: float) -> bool:
+    """True if a band of `width` (m), seen along `up`, overlaps itself or bends tighter than half its width."""
     first = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first)
     plane = np.column_stack([first, np.cross(up, first)])
@@ -587,10 +602,24 @@ def _solid(mandrel: Mandrel) -> Any:
         heights = np.maximum(body.radius + mandrel.width - radius, mandrel.width)
         return solid - channel(w.points, w.tangents, radial / radius[:, None], heights, mandrel.width / 2, SAGITTA)
     solid = library.cube(tuple(x * TO_MM for x in body.size))
-    beyond = w.lengthened(10 * mandrel.width)
+    beyond = w.lengthened(max(10 * mandrel.width, 2 * body.slot))
     ups = np.tile([0.0, 0.0, 1.0], (len(beyond.points), 1))
     heights = np.maximum(body.size[2] - beyond.points[:, 2], 0.0) + mandrel.width
-    return solid - channel(beyond.points, beyond.tangents, ups, heights, mandrel.width / 2, SAGITTA)
+    solid -= channel(beyond.points, beyond.tangents, ups, heights, mandrel.width / 2, SAGITTA)
+    if body.slot <= mandrel.width:
+        return solid
+    # From the top of the tube the walls recede at 45 deg, so that they are printed and lead the tube to its groove.
+    narrow, wide = mandrel.width / 2, body.slot / 2
+    lower = 0.5 * mandrel.tube.outer_diameter
+    upper = lower + wide - narrow
+    across = np.cross(beyond.tangents, ups)
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    tops = np.maximum(heights, upper + mandrel.width)
+    level = np.ones_like(tops)
+    half = ((narrow, lower * level), (wide, upper * level), (wide, tops))
+    sides = [*((-x, z) for x, z in half), *half[::-1]]
+    corners = [beyond.points + x * across + z[:, None] * ups for x, z in sides]
+    return solid - swept(np.stack(corners, axis=1))
 
 
 def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: float, sagitta: float) -> Any:
@@ -613,13 +642,17 @@ def channel(points: Array, tangents: Array, ups: Array, heights: Array, radius: 
     round_ = np.cos(angle)[:, None] * across[:, None] - np.sin(angle)[:, None] * up[:, None]
     below = points[:, None] + radius * round_
     lift = heights[:, None] * ups
-    rings = np.concatenate([below, (below[:, -1] + lift)[:, None], (below[:, 0] + lift)[:, None]], axis=1)
+    return swept(np.concatenate([below, (below[:, -1] + lift)[:, None], (below[:, 0] + lift)[:, None]], axis=1))
+
+
+def swept(rings: Array) -> Any:
+    """Solid (manifold3d, mm) between the corners of convex sections (N, M, 3) along a curve, m."""
     n, m = rings.shape[:2]
     grid = np.arange(n * m).reshape(n, m)
     a, b = grid[:-1], np.roll(grid[:-1], -1, axis=1)
     c, d = grid[1:], np.roll(grid[1:], -1, axis=1)
     sides = np.stack([np.stack([a, b, d], -1), np.stack([a, d, c], -1)]).reshape(-1, 3)
-    # Ends are closed by fans from one corner: half a circle below two walls is convex.
+    # Ends are closed by fans from one corner.
     fan = np.column_stack([np.zeros(m - 2, int), np.arange(1, m - 1), np.arange(2, m)])
     faces = np.vstack([sides, grid[0][fan][:, ::-1], grid[-1][fan]])
     corners = rings.reshape(-1, 3) * TO_MM

@@ -455,6 +455,16 @@ class RobotMold(Displayed):
     name: Annotated[str, key("robot"), "name of the robot"]
     left_out: tuple[str, ...]
     """Reasons why other tubes have no groove."""
+    made: tuple[int, ...] = ()
+    """Number of equal tubes to make in each groove; without numbers one each."""
+
+    @property
+    def making(self) -> str:
+        """Grooves in which several tubes are made, as text for a title; "" if there are none."""
+        several = [(g.number, n) for g, n in zip(self.mold.grooves, self.made, strict=False) if n > 1]
+        if len(self.mold.grooves) == 1:
+            return "".join(f", make {n}" for _, n in several)
+        return "".join(f", make {n} of tube {number}" for number, n in several)
 
 
 def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[int] | None = None) -> RobotMold:
@@ -468,7 +478,13 @@ def plan_robot_mold(robot: Robot, spec: MoldSpec | None = None, tubes: Sequence[
     """
     numbers, left_out = chosen_tubes(robot, tubes)
     mold = plan_mold([robot.tubes[number - 1] for number in numbers], spec, numbers=numbers)
-    return RobotMold(mold, robot.name, tuple(left_out))
+    made = [equal_tubes(robot, number) if tubes is None else 1 for number in numbers]
+    return RobotMold(mold, robot.name, tuple(left_out), tuple(made))
+
+
+def equal_tubes(robot: Robot, number: int) -> int:
+    """Number of tubes of a robot that are equal to the tube of a number, from 1; itself included."""
+    return sum(tube == robot.tubes[number - 1] for tube in robot.tubes)
 
 
 def chosen_tubes(robot: Robot, tubes: Sequence[int] | None = None) -> tuple[list[int], list[str]]:

@@ -36,7 +36,12 @@ class GrooveSpec:
     """Fit of the groove around the tube."""
 
     clearance: Annotated[
-        float, unit("mm"), LENGTH_OR_ZERO, STEP, "smallest extra width and depth of the groove over the outer diameter"
+        float,
+        unit("mm"),
+        LENGTH_OR_ZERO,
+        STEP,
+        "programmed extra width and depth of the "
+        "groove over the outer diameter; half of it is the tolerance to both sides",
     ] = 0.05e-3
     most_clearance: Annotated[
         float,

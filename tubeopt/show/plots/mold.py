@@ -14,7 +14,7 @@ from ...robots.tubes import Tube
 from ...shaping.mold.files import draw_plate, halves
 from ...shaping.mold.gcode import slot_paths
 from ...shaping.mold.groove import Arc, outline_of
-from ...shaping.mold.mandrel import Cylinder, Mandrel, exits_of, rotation_table
+from ...shaping.mold.mandrel import Block, Cylinder, Mandrel, exits_of, rotation_table
 from ...shaping.mold.mold import Groove, Mold, clamp_corners
 from ...shaping.mold.ranking import MAX_LEAK, MaterialRating
 from ...shaping.mold.springback import Calibration
@@ -133,6 +133,90 @@ def _draw_clamps_and_vents(axes: Axes, groove: Groove, mold: Mold) -> None:
         # Beyond the clamp, where no clamp of a neighbour covers it.
         x, y = far + (9.5 if clamp.slides else 3.0) * along
         axes.text(x, y, str(groove.number), color=colour, ha="center", va="center", fontsize=7, fontweight="bold")
+
+
+BROKEN_LENGTH = 26.0
+"""Length at which a side view draws a mold, mm, and two thirds of it what sticks out behind a clamp."""
+
+JAW = 6.0
+"""Height at which a side view draws each half of a clamp, mm."""
+
+
+def draw_side(axes: Axes, mold: Mold) -> None:
+    """Draw mold, tube, clamps and their supports from the side: heights to scale, the mold shortened; mm."""
+    from matplotlib.patches import Rectangle
+
+    groove, spec = mold.grooves[0], mold.spec
+    base, lid, grip = (x * TO_MM for x in (spec.plate.thickness, spec.plate.lid_thickness, groove.grip))
+    axis, diameter = axis_height(mold) * TO_MM, groove.tube.outer_diameter * TO_MM
+    behind, colour = behind_clamp(groove) * TO_MM, tube_colour(groove.number - 1)
+    near, far = (gap * TO_MM for gap in groove.gaps)
+    fixed = "proximal" if spec.clamps.sliding_end == "distal" else "distal"
+
+    def box(x: float, y: float, wide: float, tall: float, face: str) -> None:
+        axes.add_patch(Rectangle((x, y), wide, tall, fc=face, ec=INK, lw=0.6, zorder=2))
+
+    def measure(x: float, low: float, high: float, text: str) -> None:
+        arrow(axes, (x, low), (x, high), INK, width=0.6)
+        axes.text(x + 0.8, 0.5 * (low + high), text, fontsize=5.5, va="center", ha="left")
+
+    box(0.0, 0.0, BROKEN_LENGTH, base, PLATE)
+    box(0.0, base, BROKEN_LENGTH, lid, PLATE)
+    ends = (-near - grip, "proximal", near), (BROKEN_LENGTH + far, "distal", far)
+    for left, end, gap in ends:
+        box(left, axis, grip, JAW, CLAMP)
+        box(left, axis - JAW, grip, JAW, CLAMP)
+        box(left, 0.0, grip, axis - JAW, "white")
+        axes.text(left + grip / 2, axis + JAW + 1.0, f"{end},\n{'fixed' if end == fixed else 'slides'}", fontsize=5.5,
+                  ha="center", va="bottom", linespacing=1.1)  # fmt: skip
+        axes.text(left + grip / 2, 0.5 * (axis - JAW), "support", fontsize=4.5, ha="center", va="center", zorder=3)
+        face = left + grip if end == "proximal" else left
+        axes.text(face + (gap / 2 if end == "proximal" else -gap / 2), -1.0, f"{gap:.1f}", fontsize=5.5, ha="center",
+                  va="top")  # fmt: skip
+        axes.text(left + grip / 2, -1.0, f"{grip:g}", fontsize=5.5, ha="center", va="top")
+    outer = -near - grip - (0.65 * BROKEN_LENGTH if behind else 2.0)
+    inner = BROKEN_LENGTH + far + grip + 2.0
+    axes.plot([outer, inner], [axis, axis], color=colour, lw=1.6, zorder=4)
+    if behind:
+        axes.text(outer, axis - 1.0, f"{behind:.0f} behind\nit, live:\nsleeve", fontsize=5.5, ha="left", va="top",
+                  linespacing=1.1)  # fmt: skip
+    travel = max(clamp.travel for clamp in groove.clamps) * TO_MM
+    at, way = (ends[1][0] + grip, 1.0) if fixed == "proximal" else (ends[0][0], -1.0)
+    arrow(axes, (at + way * 2.5, axis - JAW / 2), (at + way * 8.0, axis - JAW / 2), INK, width=0.8)
+    axes.text(at + way * 5.0, axis - JAW / 2 - 1.0, f"{travel:.1f}", fontsize=5.5, ha="center", va="top")
+    measure(0.4 * BROKEN_LENGTH, 0.0, axis, f"axis {axis:.2f}")
+    axes.text(1.0, base + 0.5 * lid, "lid", fontsize=5.5, va="center")
+    axes.text(1.0, 0.5 * base, "base", fontsize=5.5, va="center")
+    # One clamp from its face: half-round jaws around tube and core wire, the tube enlarged.
+    x, y, scale = 0.5 * BROKEN_LENGTH, -17.0, 2.5
+    box(x - 7.5, y, 15.0, JAW, CLAMP)
+    box(x - 7.5, y - JAW, 15.0, JAW, CLAMP)
+    disk(axes, np.array([x, y]), scale * diameter / 2, fc="white", ec=colour, lw=1.4, zorder=4)
+    bore = groove.tube.inner_diameter * TO_MM
+    if bore:
+        disk(axes, np.array([x, y]), 0.85 * scale * bore / 2, fc=FAINT, ec=INK, lw=0.4, zorder=5)
+    for side in (-5.0, 5.0):
+        axes.plot([x + side] * 2, [y - JAW - 1, y + JAW + 1], color=INK, lw=0.9, ls=(0, (4, 1.5, 1, 1.5)), zorder=4)
+    axes.text(x - 9.0, y, "jaws seen from\nthe mold, tube\nenlarged", fontsize=5.5, ha="right", va="center",
+              linespacing=1.1)  # fmt: skip
+    axes.text(x + 9.0, y, "half-round,\ncore wire in\nthe bore", fontsize=5.5, ha="left", va="center",
+              linespacing=1.1)  # fmt: skip
+    axes.plot([outer, inner + 6.0], [0.0, 0.0], color=INK, lw=0.9)
+    axes.set(xlim=(outer - 1, inner + 9), ylim=(y - JAW - 3, axis + max(lid, JAW) + 8.0), aspect="equal")
+    axes.set_axis_off()
+
+
+def axis_height(mold: Mold) -> float:
+    """Height (m) of the axis of the first tube above the lower face of the base: it lies on the floor of its groove."""
+    groove = mold.grooves[0]
+    return mold.spec.plate.thickness - groove.depth + 0.5 * groove.tube.outer_diameter
+
+
+def behind_clamp(groove: Groove) -> float:
+    """Length of tube (m) that sticks out behind the proximal clamp, where a straight part is longer than needed."""
+    held = groove.centreline.lead_in.length + groove.gaps[0] + groove.grip
+    behind = groove.before_bend - held
+    return behind if behind > 0.5e-3 else 0.0  # round-off is no tube
 
 
 def _line(pieces: Sequence[Arc]) -> Array:
@@ -263,11 +347,41 @@ def draw_plan(side: Axes, mandrel: Mandrel) -> None:
         if end.upper:
             side.plot(*line[1], "x", color=INK, ms=5, zorder=4)
             side.annotate("exit", line[1], (3, 3), textcoords="offset points", fontsize=7, color=INK)
+    # The walls of the slot, which run beside the whole groove.
+    across = np.column_stack([-w.tangents[:, 1], w.tangents[:, 0]])
+    across *= 0.5 * body.slot / np.linalg.norm(across, axis=1)[:, None]
+    inside = ((w.points >= 0) & (w.points <= np.array(body.size))).all(axis=1)
+    for wall in (w.points[:, :2] + across, w.points[:, :2] - across):
+        side.plot(*(wall[inside] * TO_MM).T, color=INK, lw=0.6)
     drawn = side.scatter(points[:, 0], points[:, 1], c=size[2] - points[:, 2], s=6, cmap="viridis", zorder=3)
     side.plot(*np.array([(0, 0), (size[0], 0), size[:2], (0, size[1]), (0, 0)]).T, color=INK, lw=0.8)
     side.figure.colorbar(drawn, ax=side, orientation="horizontal", label="centreline below the upper face (mm)")
     side.set_aspect("equal")
     side.set(xlabel="x (mm)", ylabel="y (mm)")
+
+
+def draw_slot(axes: Axes, mandrel: Mandrel) -> None:
+    """Draw the section of the slot of a printed mandrel, with the tube in its groove, mm."""
+    assert isinstance(mandrel.body, Block)
+    from matplotlib.patches import Polygon
+
+    half, slot = 0.5 * mandrel.width * TO_MM, 0.5 * mandrel.body.slot * TO_MM
+    outer = 0.5 * mandrel.tube.outer_diameter * TO_MM
+    slopes = outer + slot - half
+    turn = np.linspace(np.pi, 2 * np.pi, 40)
+    high, beyond = slopes + 2.0, slot + 2.0
+    floor = np.column_stack([half * np.cos(turn), half * np.sin(turn)])
+    left = np.array([(-beyond, high), (-slot, high), (-slot, slopes), (-half, outer)])
+    outline = np.vstack([left, floor, left[:0:-1] * (-1, 1), (beyond, high), (beyond, -half - 2), (-beyond, -half - 2)])
+    axes.add_patch(Polygon(outline, fc=PLATE, ec=INK, lw=0.8))
+    disk(axes, np.array([0.0, outer - half]), outer, fc="white", ec=tube_colour(mandrel.number - 1), lw=1.4, zorder=3)
+    for level, width, text in ((high + 0.5, slot, f"{2 * slot:g}"), (-half - 2.5, half, f"{2 * half:.3g}")):
+        axes.plot([-width, width], [level, level], color=INK, lw=0.7, marker="|", ms=4)
+        axes.text(0, level + (0.4 if level > 0 else -0.4), text, fontsize=6, ha="center",
+                  va="bottom" if level > 0 else "top")  # fmt: skip
+    axes.text(0.5 * (slot + half) + 0.3, 0.5 * (slopes + outer) - 0.5, "45°", fontsize=6, ha="left", va="top")
+    axes.set(xlim=(-beyond - 1, beyond + 1), ylim=(-half - 5.0, high + 2.5), aspect="equal")
+    axes.set_axis_off()
 
 
 def draw_space(axes: Axes, mandrel: Mandrel) -> None:

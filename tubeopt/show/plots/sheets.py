@@ -11,14 +11,14 @@ import numpy as np
 
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
-from ...shaping.firmware.boards import cable_of, fuse_of, root_mean_square
+from ...shaping.firmware.boards import Part, cable_of, fuse_of, root_mean_square
 from ...shaping.firmware.sketch_files import CHARGES
 from ...shaping.heating.controller import wilson
 from ...shaping.heating.cutout import cut_out
-from ...shaping.heating.plan import AGEING_DEGC, LEFT, HeatingPlan, left_in_mold
+from ...shaping.heating.plan import AGEING_DEGC, LEFT, SHORTEST_AGEING, HeatingPlan, LeftInMold, left_in_mold
 from ...shaping.heating.sensors import Thermocouple
 from ...shaping.materials import MoldMaterial
-from ...shaping.mold.checks import THROUGH
+from ...shaping.mold.checks import THROUGH, fit_tolerance
 from ...shaping.mold.files import halves
 from ...shaping.mold.gcode import (
     PER_MINUTE,
@@ -43,7 +43,19 @@ from ...shaping.mold.mold import PARTS, Groove, Mold, clamp_corners
 from ...shaping.tube_fabrication import TubeFabrication
 from ..page import WIDTH
 from .heating import draw_duty, draw_temperature
-from .mold import draw_lid, draw_mold, draw_plan, draw_space, extent, mold_heading, radius_text
+from .mold import (
+    axis_height,
+    behind_clamp,
+    draw_lid,
+    draw_mold,
+    draw_plan,
+    draw_side,
+    draw_slot,
+    draw_space,
+    extent,
+    mold_heading,
+    radius_text,
+)
 from .style import INK, Figure, new_figure, picture
 
 A4 = (297.0, 210.0)
@@ -147,6 +159,9 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
             minutes = f"{math.ceil(mandrel_time(part) / 60)}"
             rows = (TOOL_HEADING, _tool_row("mandrel.nc", mandrel_cutter(part), part.width, minutes))
             _write_tools(figure, top - (len(facts) + 1) * ROW, rows)
+        elif part.body.slot > part.width:
+            write_at(figure, EDGE, 60.0, "section of the slot, the tube on its floor (mm)", weight="bold")
+            draw_slot(figure.add_axes((EDGE / A4[0], 0.05, 60.0 / A4[0], 42.0 / A4[1])), part)
         _write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
         return figure
     figure = new_sheet(f"Set-up sheet{': ' + title if title else ''}")
@@ -198,6 +213,10 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
     for x, heading in zip(columns, ("mm, tubes cold", *(f"tube {groove.number}" for groove in shown)), strict=True):
         write_at(figure, x, top, heading, weight="bold")
     _write_table(figure, columns, top - ROW, *tables)
+    if len(part.grooves) == 1 and part.spec.material.electrically_insulating:
+        x, y = columns[1] + 28.0, top - 66.0
+        write_at(figure, x, top, "from the side, mold shortened", weight="bold")
+        draw_side(figure.add_axes((x / A4[0], y / A4[1], 62.0 / A4[0], 62.0 / A4[1])), part)
     lowest = top - (len(tables[0]) + 1.6) * ROW
     if len(part.grooves) > len(shown):
         numbers = ", ".join(str(groove.number) for groove in part.grooves[len(shown) :])
@@ -302,7 +321,7 @@ def hole_rows(mold: Mold, part: str) -> list[tuple[str, ...]]:
                 y,
                 f"{hole.diameter * TO_MM:g}",
                 fit,
-                f"-{drill_depth(drill, thickness) * TO_MM:.1f}",
+                f"-{drill_depth(drill, thickness) * TO_MM:.4g}",
                 tool,
             )
         )
@@ -316,7 +335,8 @@ def path_rows(mold: Mold, part: str) -> list[tuple[str, ...]]:
     for groove in mold.grooves:
         if part == "base":
             width, depth = (f"{size * TO_MM:.3f}" for size in (groove.width, groove.depth))
-            rows.append((f"groove of tube {groove.number}: {width} wide, {depth} deep, centreline:",))
+            tolerance = f"both ±{fit_tolerance(mold.spec) * TO_MM:.3f}"
+            rows.append((f"groove of tube {groove.number}: {width} wide, {depth} deep, {tolerance}, centreline:",))
             pieces: Sequence[Arc] = groove.centreline.pieces
         elif groove.slot is None:
             continue
@@ -362,15 +382,17 @@ def hole_notes(mold: Mold, part: str) -> list[str]:
     """Notes below a table of holes."""
     notes = [
         f"{zero_text(mold, part)}.",
-        "All holes go through; Z is at the point of the drill, which runs into the waste board. Positions ± 0.1 mm, "
-        "diameters as in the table; the rest ISO 2768-m.",
+        "All holes go through; Z is at the point of the drill, which runs into the waste board. Diameters as in the "
+        "table; the rest ISO 2768-m.",
+        "Positions: bolts, vents, wires, hinges, latches ± 0.1 mm"
+        + (
+            "; dowels ± 0.1 mm too, but the same distance in base and lid within 0.02 mm. On a coarser machine clamp "
+            "the lid on the base, and drill and ream both at once."
+            if mold.hinge is None
+            else "."
+        ),
     ]
-    if mold.hinge is None:
-        notes.append(
-            "Dowels: the same distance in base and lid within 0.02 mm. On a coarser machine clamp the lid on the base, "
-            "and drill and ream both at once."
-        )
-    else:
+    if mold.hinge is not None:
         notes.append(
             "Countersinks for the heads of the hinges' screws, by hand: no program cuts them."
             + (" Dashed: the cut of the lid above." if part == "base" else "")
@@ -386,11 +408,8 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
     tube, back = groove.tube, mold.spec.springback
     lost = 1 - abs(tube.curvature / groove.curvature) if groove.curvature else 0.0
     end, travel = groove.before_bend + groove.bend_length, max(clamp.travel for clamp in groove.clamps)
+    tolerance = fit_tolerance(mold.spec)
     # Without the tolerance, a depth of whole steps would take one pass more by round-off.
-    fit, outer = mold.spec.groove, tube.outer_diameter
-    least = (outer + fit.clearance) * TO_MM
-    widest = max(outer + fit.most_clearance, groove.width + fit.depth_step) * TO_MM
-    deepest = (groove.depth + fit.depth_step) * TO_MM
     passes = math.ceil(groove.depth / mold.spec.milling.step_down - 1e-9)
     return {
         "tube, outer / inner diameter": f"{tube.outer_diameter * TO_MM:.3f} / {tube.inner_diameter * TO_MM:.3f}",
@@ -399,9 +418,9 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
         "spring-back of the curvature": f"{100 * (1 - back.obtained(1.0) if back.slope == 0 else lost):.2f} %",
         "bend, length / angle": f"{groove.bend_length * TO_MM:.2f} / {math.degrees(groove.bend_angle):.2f}°",
         "groove, width / depth": f"{groove.width * TO_MM:.3f} / {groove.depth * TO_MM:.3f}",
-        "limits of its width": f"{least:.2f} to {widest:.2f}",
-        "limits of its depth": f"{least:.2f} to {deepest:.2f}",
-        "mean radius by the tube's play": play_text(groove),
+        "limits of its width": _limits_text(groove.width, tolerance),
+        "limits of its depth": _limits_text(groove.depth, tolerance),
+        "mean radius by the tube's play": play_text(groove, groove.width + tolerance),
         "radius that comes out (95 %)": coming_text(groove, mold),
         "end mill / passes": f"{groove.mill.diameter * TO_MM:g} / {passes} × {len(groove.cutter_offsets)}",
         "slot in the lid, width / depth / length": "none"
@@ -428,13 +447,18 @@ def coming_text(groove: Groove, mold: Mold) -> str:
     return f"{TO_MM / high:.2f} to {TO_MM / low:.2f}" if low > 0 else f"above {TO_MM / high:.2f}"
 
 
-def play_text(groove: Groove) -> str:
-    """Smallest and largest mean radius (mm) of a tube that uses its play in the groove, as text.
+def _limits_text(size: float, tolerance: float) -> str:
+    """Limits (mm) of a size with a tolerance to both sides, m, as text."""
+    return f"{(size - tolerance) * TO_MM:.3f} to {(size + tolerance) * TO_MM:.3f}"
+
+
+def play_text(groove: Groove, width: float) -> str:
+    """Smallest and largest mean radius (mm) of a tube that uses its play in a groove of a width (m), as text.
 
     The middle of the bend moves by half the play, and its ends by as much the other way.
     """
     curvature, length = abs(groove.curvature), groove.bend_length
-    change = 8 * (groove.width - groove.tube.outer_diameter) / length**2
+    change = 8 * (width - groove.tube.outer_diameter) / length**2
     if curvature <= change:
         return "more than the bend"
     return f"{TO_MM / (curvature + change):.1f} to {TO_MM / (curvature - change):.1f}"
@@ -464,7 +488,7 @@ def _tool_row(file: str, stage: Stage, depth: float, minutes: str) -> tuple[str,
     feed, plunge = (f"{value * TO_MM * PER_MINUTE:.0f}" for value in (stage.feed, stage.plunge))
     return (
         file, stage.tool, f"{stage.spindle * PER_MINUTE:.0f}", f"{stage.cutting_speed * PER_MINUTE:.1f}", feed,
-        "-" if stage.tool.startswith("drill") else plunge, f"{stage.step * TO_MM:g}", f"{depth * TO_MM:.1f}",
+        "-" if stage.tool.startswith("drill") else plunge, f"{stage.step * TO_MM:g}", f"{depth * TO_MM:.4g}",
         f"{math.ceil(depth * TO_MM + 0.5)}", minutes,
     )  # fmt: skip
 
@@ -481,6 +505,9 @@ PIN_LENGTHS = (*range(4, 33, 2), *range(35, 101, 5))
 LEAF = 1.0
 """Thickness of a leaf of a hinge, mm (assumed)."""
 
+
+CORE_PLAY = 0.05e-3
+"""Play of a core wire in the bore of a tube, m (assumed)."""
 
 CRUSHING = 100e6
 """Largest stress by the jaws in a tube's wall, Pa: a quarter of where nitinol transforms (assumed)."""
@@ -541,15 +568,16 @@ def mold_steps(mold: Mold) -> list[str]:
         "lid.dxf: from above, closed). "
         f"Add what the clamps hold: they stay {math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate. "
         f"Waste board {_waste_board(mold):g} mm. Faces flat within "
-        f"{spec.groove.clearance * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
+        f"{fit_tolerance(spec) * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
         f"cutter's path within {TOLERANCE * TO_MM:g} mm; the rest ISO 2768-m.",
         "Positions, depths and fits of holes, grooves and slots: base_holes.pdf, lid_holes.pdf.",
         f"{zero_text(mold, 'base')}.",
         f"Programs of the table in its order (for {spec.workshop.dialect}), Z = 0 on the upper "
-        f"face with each tool. {cooling_text(spec.material)}. Break the edges of grooves and holes by hand"
+        f"face with each tool. {cooling_text(spec.material)}.{_router_text(mold)} Break the edges of grooves and "
+        "holes by hand"
         + (f"; cut the tabs ({shop.tab_height * TO_MM:g} mm) and file them flush." if shop.cut_out else "."),
-        "Measure each end mill, and cut a test groove: the programs aim at the lower limits of width and depth, and a "
-        "cutter under size stays below them. Then take a larger one; for the depth set Z = 0 lower.",
+        "Cut a test groove: the programs aim at the middle of the limits of width and depth. A cutter under size makes "
+        "the groove narrower by as much. Outside the limits take another one; for the depth correct Z = 0.",
         f"{_fasteners(mold)}."
         + (f" {len(mold.vents)} vents of {spec.vents.diameter * TO_MM:g} mm in the lid." if mold.vents else ""),
         *_slot_steps(mold),
@@ -581,28 +609,28 @@ def _jaws_text(mold: Mold) -> str:
     """Jaws of the clamps, height of the tube above the support, and what sticks out behind them, as text."""
     groove = mold.grooves[0]
     diameter, behind = groove.tube.outer_diameter, behind_clamp(groove)
-    height = mold.spec.plate.thickness - groove.depth + 0.5 * diameter
+    bore = (groove.tube.inner_diameter - CORE_PLAY) * TO_MM
     # Half-round jaws press from outside, as on a pipe: stress p D / (2 t) with p = F / (D L).
     force = CRUSHING * (diameter - groove.tube.inner_diameter) * groove.grip
     through = (
-        f" {behind * TO_MM:.0f} mm of tube stick out behind the proximal clamp, not drawn: a through hole, and a "
+        f" {behind * TO_MM:.0f} mm of tube stick out behind the proximal clamp: a through hole, and a "
         "sleeve over the live tube."
         if behind
         else ""
     )
-    return (
-        f"No jaws are drawn: two halves with a half-round groove of {diameter * TO_MM:g} mm, its axis "
-        f"{height * TO_MM:.2f} mm above the lower face of the base; flat ones crush the tube. Press by at most "
-        f"{force:.0f} N (one M4 screw for it: {0.2 * force * 4e-3:.1g} N m, 0.2 F d): the wall then has "
-        f"{CRUSHING / 1e6:.0f} MPa (assumed).{through}"
+    pressure = force / (diameter * groove.grip)
+    core = (
+        f" A steel core wire of {bore:.2f} mm in each end keeps the bore round if a screw is too tight; it ends at the "
+        "clamp's face, or it carries current."
+        if bore > 0
+        else ""
     )
-
-
-def behind_clamp(groove: Groove) -> float:
-    """Length of tube (m) that sticks out behind the proximal clamp, where a straight part is longer than needed."""
-    held = groove.centreline.lead_in.length + groove.gaps[0] + groove.grip
-    behind = groove.before_bend - held
-    return behind if behind > 0.5e-3 else 0.0  # round-off is no tube
+    return (
+        f"Jaws: two halves with a half-round groove of {diameter * TO_MM:g} mm; flat jaws crush the tube. Its axis is "
+        f"{axis_height(mold) * TO_MM:.2f} mm above the lower face of the base. Supports insulate: the mold's board. "
+        f"Press by at most {force:.0f} N (one M4 screw for it: {0.2 * force * 4e-3:.1g} N m, 0.2 F d). That is "
+        f"{pressure / 1e6:.0f} MPa on the tube, {CRUSHING / 1e6:.0f} MPa in its wall.{core}{through}"
+    )
 
 
 def opening_text(mold: Mold) -> str:
@@ -618,6 +646,32 @@ def cooling_text(material: MoldMaterial) -> str:
     if material.cutting_speed is None:
         return "Cut dry, with an extractor and an FFP3 mask"
     return f"Cut wet, at {material.cutting_speed * PER_MINUTE:g} m/min at most"
+
+
+def _router_text(mold: Mold) -> str:
+    """Cutting data of drills for a router that cannot turn as slowly as the programs say, as text."""
+    drills = [stage for part in PARTS for stage in stages_of(mold, part) if stage.tool.startswith("drill")]
+    slow = [drill for drill in drills if drill.spindle * PER_MINUTE < ROUTER_RPM]
+    if not slow:
+        return ""
+    widest, fastest = max(drill.diameter for drill in slow), mold.spec.material.cutting_speed
+    if fastest is not None and math.pi * widest * ROUTER_RPM / PER_MINUTE > fastest:
+        return f" A router that turns at {ROUTER_RPM} rpm or more cannot drill this material: use a drill press."
+    # The feed per turn is the same.
+    feeds: dict[str, list[str]] = {}
+    for drill in slow:
+        feed = f"{drill.feed / drill.spindle * TO_MM * ROUTER_RPM:.0f}"
+        of_feed, size = feeds.setdefault(feed, []), f"{drill.diameter * TO_MM:g}"
+        of_feed += [] if size in of_feed else [size]
+    words = ", ".join(f"F{feed} (drill {', '.join(sizes)})" for feed, sizes in feeds.items())
+    return (
+        f" A router that turns at {ROUTER_RPM} rpm at least: S{ROUTER_RPM} in programs of drills, and for the same "
+        f"feed per turn {words}."
+    )
+
+
+ROUTER_RPM = 8000
+"""Least speed of common routers, rpm."""
 
 
 def _waste_board(mold: Mold) -> int:
@@ -701,7 +755,7 @@ def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
         numbers["block"] = " × ".join(f"{size * TO_MM:.1f}" for size in body.size)
         least, greatest = (depth * TO_MM for depth in slot_depths(mandrel))
         numbers["slot above the groove, width / depth of its floor"] = (
-            f"{mandrel.width * TO_MM:.3f} / {least:.0f} to {greatest:.0f}"
+            f"{body.slot * TO_MM:.3g} / {least:.0f} to {greatest:.0f}"
         )
         numbers["height with the straight ends"] = f"{overall_height(mandrel) * TO_MM:.0f}"
     lead = (mandrel.free_length - held.curved_length) / 2 + mandrel.spec.clamps.grip
@@ -737,13 +791,11 @@ def mandrel_steps(mandrel: Mandrel) -> list[str]:
     else:
         size = " × ".join(f"{length * TO_MM:.2f}" for length in body.size)
         steps = [
-            "Print the block (mandrel.stl, mm) with its open side up; clear the slot of powder and supports. Measure "
+            "Print the block (mandrel.stl, mm) with its open side up. Measure "
             f"it when fired: {size} mm. A block smaller by 1 % gives radii smaller by 1 %: scale the print. The groove "
-            f"is drawn at its least width: a wire of {(mandrel.width - WIRE_PLAY) * TO_MM:.2f} mm must pass all of it; "
-            "otherwise print it wider.",
-            f"The slot is {mandrel.width * TO_MM:.2f} mm wide and up to {slot_depths(mandrel)[1] * TO_MM:.0f} mm deep: "
-            f"before firing, clear it by air and a strip of sheet, at most {(mandrel.width - STRIP_PLAY) * TO_MM:.2f} "
-            "mm thick. The same strip presses the tube to the floor.",
+            f"is drawn in the middle of its limits: a wire of {least_width(mandrel) * TO_MM:.2f} mm must pass all of "
+            "it; otherwise print it wider.",
+            _slot_text(mandrel),
         ]
         fixing = f"ceramic cord pressed into the slot by the strip, and {_lid_text(mandrel)}"
     return [
@@ -758,8 +810,31 @@ def mandrel_steps(mandrel: Mandrel) -> list[str]:
     ]
 
 
-WIRE_PLAY, STRIP_PLAY = 0.02e-3, 0.15e-3
-"""Play of a wire that gauges a printed groove, and of a strip that presses a tube into it, m (assumed)."""
+STRIP_PLAY = 0.15e-3
+"""Play of a strip that presses a tube into a printed groove, m (assumed)."""
+
+
+def least_width(mandrel: Mandrel) -> float:
+    """Smallest width (m) of the groove of a mandrel: tube and least clearance."""
+    return mandrel.tube.outer_diameter + mandrel.spec.groove.clearance
+
+
+def _slot_text(mandrel: Mandrel) -> str:
+    """Shape and cleaning of the slot above the groove of a printed mandrel, as text."""
+    assert isinstance(mandrel.body, Block)
+    slot, deep = mandrel.body.slot, slot_depths(mandrel)[1]
+    strip = (least_width(mandrel) - STRIP_PLAY) * TO_MM
+    if slot > mandrel.width:
+        return (
+            f"From the top of the tube the slot widens at 45° to {slot * TO_MM:g} mm, and is up to "
+            f"{deep * TO_MM:.0f} mm deep. Before firing, clear it and the groove of powder by air and a brush. The "
+            f"slopes lead the tube into the groove; a strip of at most {strip:.2f} mm presses it to the floor."
+        )
+    return (
+        f"The slot is {slot * TO_MM:.2f} mm wide and up to {deep * TO_MM:.0f} mm deep: turns pass too near each other "
+        f"for a wider one. Before firing, clear it by air and a strip of sheet, at most {strip:.2f} mm thick. The "
+        "same strip presses the tube to the floor."
+    )
 
 
 def overall_height(mandrel: Mandrel) -> float:
@@ -847,6 +922,25 @@ STOP = "#B00020"
 """Colour of what forbids a heating."""
 
 
+@picture
+def plot_parts_sheet(parts: Sequence[Part], *, title: str = "") -> Figure:
+    """List of electrical parts: one page A4."""
+    figure = new_sheet(f"Electrical parts: {title}")
+    write_at(
+        figure,
+        EDGE,
+        A4[1] - EDGE - 6,
+        "One circuit heats all tubes, one after the other; every tube has its own sketch. Wiring: firmware/wiring.png.",
+    )
+    texts = [f"{part.name}: {part.rating}" for part in parts]
+    # About as many letters in both columns.
+    lengths = np.cumsum([len(text) for text in texts])
+    middle = int(np.searchsorted(lengths, 0.5 * lengths[-1]))
+    for x, half in ((EDGE, texts[:middle]), (SECOND, texts[middle:])):
+        _write_lists(figure, x, A4[1] - EDGE - 14, {"Part: rating": half})
+    return figure
+
+
 def _write_lists(figure: Figure, x: float, top: float, lists: Mapping[str, Sequence[str]]) -> None:
     """Write lists below each other, each with a heading, in the largest letters with which they fit the page."""
     for size in STEP_SIZES:
@@ -916,13 +1010,28 @@ def time_line(fabrication: TubeFabrication) -> list[str]:
             if hinged
             else f"This lid is bolted; under a hinged one (key `hinge` of the mold) it is at {left.opened:.0f} °C"
         )
-        + (
-            f". So it passes {AGEING_DEGC[0]:g} to {AGEING_DEGC[1]:g} °C in less than {LEFT:.0f} s even in the mold; "
-            "the shortest published ageing takes 120 s (BIOMED2007). After a late quench measure Af"
-            if left.closed < AGEING_DEGC[0]
-            else ". A slower opening changes Af: measure it"
-        ),
+        + ".",
+        _quench_text(left),
     ]
+
+
+HAND = 2.0
+"""Shortest time in which a hand opens a mold, s (assumed)."""
+
+
+def _quench_text(left: LeftInMold) -> str:
+    """Latest quench, and what a later one means, as text."""
+    low, high = AGEING_DEGC
+    begin = f"latest quench: {left.latest:.1f} s after the hold, above {high:g} °C"
+    if math.isinf(left.passed):
+        ages = f"the tube ages at {low:g} to {high:g} °C for {SHORTEST_AGEING:g} s and more"
+        return f"{begin}. Later {ages}: it is scrap."
+    return (
+        f"{begin}{'; no hand is as fast' if left.latest < HAND else ''}. The quench is optional: in the closed mold "
+        f"the tube passes {high:g} to "
+        f"{low:g} °C in {left.passed:.1f} s, and the shortest published ageing takes {SHORTEST_AGEING:g} s "
+        "(BIOMED2007). A tube quenched late or not at all is no scrap: measure its Af."
+    )
 
 
 def preparation(fabrication: TubeFabrication) -> list[str]:
@@ -967,8 +1076,8 @@ def running(fabrication: TubeFabrication) -> list[str]:
         ]
     law = plan.feedback.law
     return [
-        "Wire as firmware/wiring.png; for all tubes of a robot take the larger rating of each part, but the fuse of "
-        "each tube. Load firmware/tube_heater onto the board: each tube has its own.",
+        "Wire as firmware/wiring.png; parts.pdf has the parts for all tubes of a robot, with the fuse of each. "
+        "Load firmware/tube_heater onto the board: each tube has its own.",
         f"Every day, main switch on, tube in the clamps: `tubeopt heat run {port} --test-cutout` pulses it. Pass: the "
         f'reply "cut-out: opened after .. ms", at most {1e3 * cut_out(plan).budget:.0f} ms. Then the same with `--dry` '
         'in place of it: no current. Pass: it ends as "done". The lamp test (wiring.png) is before the first tube.',
@@ -1012,5 +1121,6 @@ def safety(plan: HeatingPlan) -> list[str]:
         "Above the limit, or where the tube does not follow the time line: stop.",
         "After a stop or a miss: main switch off, let the tube cool in the mold; do not use it. Find the cause first, "
         "or calibrate by the log (`tubeopt heat calibrate`); then heat a new tube.",
-        *plan.concerns,
+        # Said above with its interval.
+        *(text for text in plan.concerns if plan.feedback is None or text != plan.feedback.unreported),
     ]
