@@ -33,9 +33,12 @@ from tubeopt import (
     forward_kinematics,
     worst_margin,
 )
+from tubeopt.block.transcription.mesh import make_mesh
+from tubeopt.block.transcription.reduced import reduce
 from tubeopt.equilibrium.kinematics import point_of, to_equilibrium, unsolved
 from tubeopt.equilibrium.member import Point
 from tubeopt.errors import ImplausibleWarning, InputError
+from tubeopt.robots.assembly import LENGTH_ROUND_OFF
 from tubeopt.typing import Array
 
 FIRST = 1000
@@ -49,6 +52,9 @@ PATHS = 30
 
 ROWS = (0.01, 0.02, 0.04, 0.08, 0.15)
 """Offsets times precurvature of the certified robots whose margin is searched."""
+
+CLOSE, STRIDE, MOST = 0.01, 1.25, 2.0
+"""Margin to which a search goes, and the largest factors of one step and of all on the precurvatures."""
 
 NEAR_1 = 0.99
 """Margin above which it converges slowly with the mesh: eigenvalues accumulate at 1."""
@@ -138,8 +144,12 @@ def integrated_fold(robot: BundleRobot, pose: Equilibrium) -> float:
 
 
 def concentric(robots: int) -> Iterator[Row]:
-    """Nested tubes as a bundle without offsets, and as a concentric robot, on default and finer meshes."""
-    rows: dict[int, list[tuple[float, float, float]]] = {0: [], 1: [], 2: []}
+    """Nested tubes as a bundle without offsets, beside a concentric robot on other meshes."""
+    rows: dict[str, list[tuple[float, float, float]]] = {
+        "default": [],
+        "the same": [],
+        "the default, halved 3 times": [],
+    }
     for seed in track(range(FIRST, FIRST + robots), transient=True):
         rng = np.random.default_rng(seed)
         drawn, alpha, shift = random_bundle(rng, TIGHTEST)
@@ -152,24 +162,29 @@ def concentric(robots: int) -> Iterator[Row]:
             tubes.append(like.resized("torsional_stiffness", float(each.torsional_stiffness)))
         n = drawn.n_tubes
         nested, own = ConcentricRobot(tuple(tubes)), BundleRobot(tuple(tubes), (0.0,) * n, (0.0,) * n)
-        pose = forward_kinematics(own, alpha, shift)
-        point = point_of(pose)
-        for refinement, found in rows.items():
-            other = forward_kinematics(nested, alpha, shift, discretisation=Discretisation(refinement=refinement))
-            finer = point.member.on(refinement=point.member.discretisation.refinement + refinement)
-            one = to_equilibrium(Point.solved_near(finer, finer.transfer(point), "the finer mesh has none"), "newton")
-            if np.abs(one.tip_rotations - other.tip_rotations).max() < 1e-3:  # the same of several equilibria
-                tip = np.linalg.norm(one.tip_position - other.tip_position)
-                found.append((float(tip), abs(one.margin - other.margin), other.margin))
-    for refinement, found in rows.items():
+        pose, other = forward_kinematics(own, alpha, shift), forward_kinematics(nested, alpha, shift)
+        if np.abs(pose.tip_rotations - other.tip_rotations).max() > 1e-3:  # another of several equilibria
+            continue
+        halved = forward_kinematics(nested, alpha, shift, discretisation=Discretisation(refinement=3))
+        for found, each in zip(rows.values(), (other, _on_elements_of(pose, other), halved), strict=True):
+            tip = float(np.linalg.norm(pose.tip_position - each.tip_position))
+            found.append((tip, abs(pose.margin - each.margin), each.margin))
+    for mesh, found in rows.items():
         tip, margin, known = np.transpose(found)
         below = known < NEAR_1
-        yield (
-            f"elements halved {refinement} times: {len(found)} robots, largest distance of tips, m",
-            f"{tip.max():.1e}",
-        )
+        yield f"elements: {mesh}; {len(found)} robots, largest distance of tips, m", f"{tip.max():.1e}"
         yield f"difference of margins, {below.sum()} of them below {NEAR_1}", f"{margin[below].max():.1e}"
         yield "of the others", f"{margin[~below].max():.1e}"
+
+
+def _on_elements_of(bundle: Equilibrium, concentric: Equilibrium) -> Equilibrium:
+    """Equilibrium of concentric tubes with the elements of a bundle, whose sections all have a length."""
+    known, point = point_of(bundle).member.problem, point_of(concentric)
+    assembly = point.member.problem.assembly
+    count = np.ones(assembly.n_sections, dtype=np.intp)
+    count[assembly.length > LENGTH_ROUND_OFF] = known.count
+    member = replace(point.member, problem=reduce(assembly, make_mesh(assembly, count)))
+    return to_equilibrium(Point.solved_near(member, member.transfer(point), "this mesh has none"), "newton")
 
 
 def certificate(robots: int) -> Iterator[Row]:
@@ -185,35 +200,43 @@ def certificate(robots: int) -> Iterator[Row]:
 
 
 def conservative(robots: int) -> Iterator[Row]:
-    """Certified precurvature, of that where a search finds the margin 0, of robots with given offsets."""
+    """Robots at the edge of their certificate: precurvature, of that where a search finds the margin 0; margin."""
     for tightness in ROWS:
-        shares: list[float] = []
+        shares, margins, firm = list[float](), list[float](), 0
         for seed in count(FIRST):
             try:
                 longest = longest_certified(np.random.default_rng(seed), tightness, 1e-4)
             except InputError:  # tubes that overlap
                 continue
             if longest is not None:
-                shares.append(1 / _softening(*longest))
+                margins.append(worst_margin(*longest).margin)
+                factor = softening(*longest, margins[-1])
+                shares += [] if factor is None else [1 / factor]
+                firm += factor is None
             if len(shares) == robots or seed > FIRST + 10 * robots:
                 break
-        yield f"offset times precurvature {tightness}: {len(shares)} robots, median", f"{np.median(shares):.2f}"
+        yield f"offset times precurvature {tightness}: {len(shares)} robots, share, median", f"{np.median(shares):.2f}"
         yield "least", f"{min(shares):.2f}"
+        yield "least margin found, median", f"{np.median(margins):.2f}"
+        yield f"robots without a margin of 0 up to {MOST} times the precurvature", str(firm)
 
 
-def _softening(robot: BundleRobot, shift: Array) -> float:
-    """Factor on all precurvatures at which the least margin that is found is 0."""
-    low, high = 1.0, 1.0
-    while worst_margin(_curved(robot, high), shift).margin > 0:
-        low, high = high, 1.25 * high
-    while high - low > 0.005 * low:
-        middle = (low + high) / 2
-        low, high = (middle, high) if worst_margin(_curved(robot, middle), shift).margin > 0 else (low, middle)
-    return low
+def softening(robot: BundleRobot, shift: Array, margin: float) -> float | None:
+    """Factor on all precurvatures at which the least margin that is found is 0; None above MOST.
 
-
-def _curved(robot: BundleRobot, factor: float) -> BundleRobot:
-    return replace(robot, tubes=tuple(tube.resized("curvature", factor * tube.curvature) for tube in robot.tubes))
+    Of tubes that oppose each other, 1 - margin grows with the square of the factor: each step goes nearly to the end.
+    """
+    factor = 1.0
+    while margin > 2 * CLOSE:
+        factor *= min(np.sqrt((1 - CLOSE) / (1 - margin)), STRIDE)
+        if factor > MOST:
+            return None
+        tubes = tuple(tube.resized("curvature", factor * tube.curvature) for tube in robot.tubes)
+        try:
+            margin = worst_margin(replace(robot, tubes=tubes), shift).margin
+        except InputError:  # tighter than a bundle may be
+            return None
+    return float(factor / np.sqrt(1 - margin))
 
 
 QUESTIONS: dict[str, tuple[Callable[[int], Iterator[Row]], int]] = {
@@ -222,7 +245,7 @@ QUESTIONS: dict[str, tuple[Callable[[int], Iterator[Row]], int]] = {
     "folds": (folds, 100),
     "concentric": (concentric, 100),
     "certificate": (certificate, 300),
-    "conservative": (conservative, 8),
+    "conservative": (conservative, 16),
 }
 """What is measured, and for how many robots."""
 

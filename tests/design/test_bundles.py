@@ -9,8 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.equilibrium.test_bundle import end_forces, shoot
-from tubeopt import BundleRobot, DesignTask, EccentricRobot, Load, load_robot, optimize_design, snap_free_certificate
+from tests.equilibrium.test_bundle import end_forces, shoot, tube
+from tubeopt import (
+    BundleRobot,
+    DesignTask,
+    EccentricRobot,
+    Load,
+    find_stroke_force,
+    load_robot,
+    optimize_design,
+    snap_free_certificate,
+)
 from tubeopt.block.quantities import Quantity
 from tubeopt.bodies import Sphere
 from tubeopt.design import (
@@ -39,6 +48,7 @@ from tubeopt.design.program import compile_task
 from tubeopt.design.state import DesignState
 from tubeopt.equilibrium.kinematics import point_of
 from tubeopt.errors import InputError
+from tubeopt.stability.stroke import stroke_slopes
 
 ROOT = Path(__file__).resolve().parents[2]
 THREE = (0, 1, 2)
@@ -217,6 +227,48 @@ def test_rigid_parts_of_the_sheath_are_free() -> None:
         DesignTask(thesis(), (tip,))
 
 
+@pytest.mark.parametrize(("kind", "degrees"), [("fold", (0, 60, -60)), ("ends", (180, 0, 0))])
+def test_stroke_forces_scale_as_stiffness_over_length_squared(kind: str, degrees: tuple[float, ...]) -> None:
+    """Euler's theorem of homogeneous functions, for the derivatives by all stiffnesses, and by all lengths."""
+    robot = load_robot(ROOT / "configs" / "bundles" / "steerable_sheath.yaml")
+    assert isinstance(robot, BundleRobot)
+    names = ("bending_stiffness", "torsional_stiffness", "straight_length", "curved_length", "curvature")
+    found = stroke_slopes(robot.fk(np.radians(degrees)), (*names, "offset", "sheath_stiffness"))
+    assert found is not None
+    force, slopes = found
+    sizes = np.array([[getattr(each, name) for each in robot.tubes] for name in names])
+    by_size = [*(sizes * slopes[:15].reshape(5, 3)).sum(1), np.array(robot.offset) @ slopes[15:18]]
+    by_size.append(robot.sheath_stiffness * slopes[18])
+    assert by_size[0] + by_size[1] + by_size[6] == pytest.approx(force, rel=1e-6 if kind == "fold" else 1e-3)
+    lengths = by_size[2] + by_size[3] - by_size[4] + by_size[5]
+    assert lengths == pytest.approx(-2 * force, rel=1e-6 if kind == "fold" else 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "degrees"), [("fold", (0, 60, -60)), ("ends", (180, 0, 0)), ("bifurcation", (0, 0, 0))]
+)
+def test_stroke_forces_have_their_derivatives(kind: str, degrees: tuple[float, ...]) -> None:
+    """At a fold, where ends of tubes separate, and where an arm in a plane buckles out of it."""
+    robot = replace(load_robot(ROOT / "configs" / "bundles" / "steerable_sheath.yaml"), sheath_diameter=None)
+    if kind == "bifurcation":
+        tubes = tube(0.02, 0.015, 6.0, 0.02, 0.2), tube(0.03, 0.02, 4.0, 0.02, 0.17), tube(0.025, 0.02, 8.0, 0.02, 0.12)
+        robot = BundleRobot(tubes, (0.004, 0.004, 0.0), (np.pi / 2, -np.pi / 2, np.pi / 2))
+    free = (
+        Free("curvature", (0,), 1.0, 30.0),
+        Free("curved_length", (2,), 0.01, 0.3),
+        Free("offset", (0,), 1e-3, 5e-3),
+    )
+    layout = compile_task(DesignTask(robot, free, (posed(degrees), StrokeForce(0.1)))).layout
+    x = layout.space.start.copy()
+    value, slope = DesignState(layout, x).quantity(Quantity("stroke_force", 0))
+    limit = find_stroke_force(robot, np.radians(degrees))
+    assert limit is not None
+    assert (limit.kind, limit.factor) == (kind, pytest.approx(float(value[0]), rel=1e-7))
+    step = 3e-5 * x * np.random.default_rng(0).uniform(0.5, 1.0, len(x))
+    ahead, behind = (DesignState(layout, x + way * step).quantity(Quantity("stroke_force", 0))[0][0] for way in (1, -1))
+    assert float((slope @ step)[0]) == pytest.approx((ahead - behind) / 2, rel=1e-3)
+
+
 def test_carriages_reach_targets_together() -> None:
     robot = load_robot(ROOT / "configs" / "bundles" / "steerable_sheath.yaml")
     known = robot.fk(np.radians([0, 40, 0]), np.array([0.0, -0.01, 0.0]))
@@ -233,7 +285,6 @@ def test_carriages_reach_targets_together() -> None:
         (SnapFree(0.05, max_force=0.1), "SnapFree of an eccentric robot has a force, a box or tube errors"),
         (SnapFree(0.05, curvature_error=0.01), "require a larger margin, and check tolerances"),
         (SnapFree(0.05, ((0.0, 0.0, -0.01),)), "must be equal, since they share a carriage"),
-        (StrokeForce(0.1), "StrokeForce needs task poses|StrokeForce is given for an eccentric robot"),
         (SnapFreeInUse(0.05, deployed=True), "tubes of this robot share carriages"),
         (Poses(((0.0, 0.0, 0.0),), ((0.0, 0.0, -0.01),)), "must be equal, since they share a carriage"),
     ],

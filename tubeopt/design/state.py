@@ -496,13 +496,17 @@ def stroke_force(state: DesignState, index: PoseNumber) -> tuple[float, Array]:
     Raises:
         SolveError: the branch ends without a limit nearby, or the force has no derivative.
     """
+    pose, chain = state.pose(index), state.chain(index)
+    if isinstance(pose, BundlePose):
+        of_bundle = stroke_slopes(pose.equilibrium, pose.wrt, STRONGEST, along=pose.along)
+        # The value is capped at STRONGEST, and a capped value has no slope.
+        return (STRONGEST, np.zeros(state.layout.size)) if of_bundle is None else (of_bundle[0], of_bundle[1] @ chain)
     plain, names, rows = _unloaded(state, index)
     free = _free_pieces(state)
-    rotation_slopes = state.pose(index).derivatives.tip_rotation @ state.chain(index)
+    rotation_slopes = pose.derivatives.tip_rotation @ chain
     varied = [Varied(step, robots, rotation_slopes[:, k]) for k, step, robots in free]
     slopes = stroke_slopes(plain, names, STRONGEST, varied=varied)
     if slopes is None:
-        # The value is capped at STRONGEST, and a capped value has no slope.
         return STRONGEST, np.zeros(state.layout.size)
     pieces = np.eye(state.layout.size)[state.free_pieces]
     return slopes[0], slopes[1] @ np.concatenate([rows, pieces])

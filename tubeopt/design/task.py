@@ -376,8 +376,6 @@ def _check_requirements(task: DesignTask) -> None:
 def _check_bundle(task: DesignTask, robot: BundleRobot) -> None:
     """Raise InputError for what designs of bundles do not support."""
     for requirement in task.requirements:
-        if isinstance(requirement, StrokeForce):
-            raise InputError("StrokeForce is given for an eccentric robot; designs support it for concentric ones only")
         if isinstance(requirement, SnapFree):
             if requirement.max_force or requirement.box is not None or requirement.growth > 1:
                 raise InputError(
@@ -400,8 +398,6 @@ def _check_bundle(task: DesignTask, robot: BundleRobot) -> None:
                 "a deployment retracts tubes one by one; tubes of this robot share carriages, so that it has none"
             )
     for objective in task.built_in:
-        if objective.kind == "stroke_force":
-            raise InputError("objective stroke_force is given for an eccentric robot; it needs a concentric one")
         if objective.kind == "deployment" and len(robot.moving_together) < robot.n_tubes:
             raise InputError("objective deployment retracts tubes one by one; tubes of this robot share carriages")
         if objective.kind in ("tip_curvature", "turning_radius") and not of_kind(task.requirements, Poses):

@@ -54,7 +54,7 @@ from ..solvers.compiled.bundle import BundleStart, solve_bundle_compiled
 from ..solvers.newton import NewtonResult, full_steps
 from ..solvers.settings import LEAST_STIFFNESS
 from ..solvers.time_limit import check_time
-from ..typing import Array
+from ..typing import Array, Index
 from .member import AnyPoint, Member, Point
 from .problem import DEFAULT_DISCRETISATION, LOADED_DISCRETISATION, Discretisation
 from .result import Equilibrium
@@ -112,7 +112,7 @@ def solved_by_kernel(
     solved = solve_bundle_compiled(bundle.beyond_rigid_length, rotations, near, refinement)
     if solved is None or not bundle.rigid_length:
         return solved
-    count = int(element_counts(np.array([bundle.rigid_length]), refinement)[0])
+    count = 2**refinement
     return solved._replace(solution=_from_plate(solved.solution, bundle, count), elements=solved.elements + count)
 
 
@@ -575,10 +575,7 @@ class Bundled(Member[BundleState]):
         """Same equations at other inputs, with boundaries and elements as at a point close by."""
         known, state = replace(point.member, robot=self.robot), point.state
         like = known.with_inputs(rotations, translations, load, factor)
-        length = state.problem.lengths(state.x) * state.problem.count
-        if like is not None and np.array_equal(
-            element_counts(length, self.discretisation.refinement), state.problem.count
-        ):
+        if like is not None and np.array_equal(like.wanted(state), state.problem.count):
             return replace(self, problem=like.problem, rotations=rotations, translations=translations, factor=factor)
         assert isinstance(self.robot, BundleRobot)
         return Bundled.of(
@@ -590,6 +587,12 @@ class Bundled(Member[BundleState]):
             start=lambda bundle, places: followed(state, bundle, places),
             discretisation=self.discretisation,
         )
+
+    def wanted(self, state: BundleState) -> Index:
+        """Numbers (m,) of elements that sections as long as in a state need."""
+        problem, length = self.problem, state.problem.lengths(state.x) * state.problem.count
+        mesh = self.discretisation.refinement, problem.load, problem.density
+        return element_counts(problem.bundle, problem.order, length, *mesh)
 
     def under(self, point: AnyPoint, load: Load, factor: float) -> Bundled:
         """Problem at the joint values of a point under `factor` times another load."""

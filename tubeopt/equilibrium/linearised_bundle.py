@@ -104,6 +104,8 @@ class LinearisedBundle:
     """Names of PARAMETERS and of the ARRANGEMENT, with columns as `columns_of`."""
     along: Array | None = None
     """Combinations (.., Q) of these columns that replace them, or None."""
+    border: Array | None = None
+    """Null vector (U,) of a singular Hessian, to which changes of the unknowns are orthogonal; None elsewhere."""
 
     def __post_init__(self) -> None:
         bundle = self.state.problem.bundle
@@ -232,7 +234,7 @@ class LinearisedBundle:
         out = np.zeros((len(problem.weight), 2 * n + 3, self.size))
         out[:, :n] = self._at_plate
         out[:, 2 * n : -1] = self._held_bend.reshape(-1, 2, self.size)
-        out[:, -1] = (self._straight + problem.lengths_by_bend @ self._held_bend)[problem.point_section]
+        out[:, -1] = self.lengths[problem.point_section]
         return out
 
     @cached_property
@@ -252,8 +254,8 @@ class LinearisedBundle:
         return _EnergyChanges(first, mixed.reshape(count, 2 * n + 3, 5 * n + 1), third)
 
     @cached_property
-    def x(self) -> Array:
-        """Derivative (U, Q) of the unknowns."""
+    def gradient(self) -> Array:
+        """Change (U, Q) of the gradient at fixed x."""
         state, problem = self.state, self.state.problem
         by_point = state.local_hessian @ self._local
         if self._data.any():
@@ -273,7 +275,19 @@ class LinearisedBundle:
                 forces -= state.factor * state.loading.first[2 * len(problem.weight) :][: len(forces)]
             forces[[*problem.held]] -= holding_forces(state)
             right[problem.split :] += problem.bend_map.T @ self._longer_adjoint(forces)
-        return np.asarray(-scipy.linalg.solve(state.hessian, right))
+        return right
+
+    @cached_property
+    def x(self) -> Array:
+        """Derivative (U, Q) of the unknowns."""
+        if self.border is None:
+            return np.asarray(-scipy.linalg.solve(self.state.hessian, self.gradient))
+        return bordered_response(self.state.hessian, self.border, self.gradient)[:-1]
+
+    @property
+    def lengths(self) -> Array:
+        """Change (m, Q) of the lengths h of elements at fixed x, m."""
+        return self._straight + self.state.problem.lengths_by_bend @ self._held_bend
 
     def _placed(self, bend: Array) -> Array:
         """Changes (2 N + m + n, Q) of kappa, h and own lengths, on which the work of a load depends, with kappa."""
@@ -452,6 +466,10 @@ class LinearisedBundle:
                     )
         return np.asarray(np.real(out / pairing))
 
+    def stiffness(self, direction: Array) -> Array:
+        """Derivative (Q,) of the second variation along a direction (U,) of the unknowns."""
+        return self._forms_change(BundleMode(direction, direction), BundleMode(direction, direction), 0.0)
+
     def _forms_change(self, left: BundleMode, right: BundleMode, value: complex) -> Array:
         """Change (Q,) of the second variation less `value` times T, for two modes."""
         state, problem, n = self.state, self.state.problem, self.state.problem.n
@@ -523,6 +541,16 @@ class LinearisedBundle:
 
         softness = 1 / (problem.bundle.torsional_stiffness * (1 - mu))
         return np.asarray((softness * torque(left) * torque(right)) @ longer)
+
+
+def bordered_response(hessian: Array, border: Array, gradient: Array, longer: Array | None = None) -> Array:
+    """Changes (U + 1, Q) of x and of a multiplier f of g = f a, with a (U,) the border, as g changes by (U, Q).
+
+    They keep a.x, or change it by -`longer` (Q,).
+    """
+    matrix = np.block([[hessian, border[:, None]], [border, np.zeros(1)]])
+    below = np.zeros(gradient.shape[1]) if longer is None else longer
+    return np.asarray(-scipy.linalg.solve(matrix, np.vstack([gradient, below])))
 
 
 def linearise_bundle(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -18,10 +17,9 @@ from ..display import Displayed
 from ..errors import InputError, choice, triple, warn_implausible, whole
 from ..robots.assembly import Assembly, cut
 from ..robots.limits import MOST_BEND
-from ..robots.load import FORCE, MOMENT, Load, Stretch, masses
+from ..robots.load import Load, Stretch, masses
 from ..robots.robot import Robot
 from ..solvers.compiled.loaded import ROUGH_DEGREE, LoadedRules
-from ..typing import Array
 
 
 @dataclass(frozen=True)
@@ -225,7 +223,9 @@ def loading_of(robot: Robot, translations: tuple[float, ...], load: Load) -> tup
     """Assembly at translations (n,), cut where the load jumps, and the load on its sections."""
     density = masses(robot.tubes, load)
     assembly = _cut(robot, translations, tuple(load.cuts().tolist()))
-    return assembly, Loading(load, density, loaded_counts(assembly, *_bounds(assembly, load, density)))
+    mass = float((assembly.present @ density) @ assembly.length) if load.gravity else 0.0
+    counts = loaded_counts(assembly, *load.bounds(assembly.total_length, mass))
+    return assembly, Loading(load, density, counts)
 
 
 @lru_cache(maxsize=CACHED_PROBLEMS)
@@ -251,15 +251,3 @@ def _torsion(
     """Torsion problem on the mesh of a load; forces and moments do not enter it."""
     assembly = _cut(robot, translations, cuts)
     return reduce(assembly, loaded_mesh(assembly, np.array(counts), family=d.family, degree=d.degree))
-
-
-def _bounds(assembly: Assembly, load: Load, density: Array) -> tuple[float, float]:
-    """Upper bounds on the force on any cross-section, N, and on the applied moments, N m."""
-    along = turning = 0.0
-    if load.distributed is not None:
-        per_length = load.per_length(np.linspace(0, assembly.total_length, 33)[1:-1])
-        along, turning = (float(np.linalg.norm(per_length[:, k], axis=-1).max(initial=0.0)) for k in (FORCE, MOMENT))
-    weight = math.hypot(*load.gravity) * (assembly.present @ density) @ assembly.length if load.gravity else 0.0
-    force = sum(math.hypot(*part.force) for part in load.acting) + weight + along * assembly.total_length
-    moment = sum(math.hypot(*part.moment) for part in load.acting)
-    return float(force), moment + turning * assembly.total_length

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass, fields, replace
 from functools import cached_property
@@ -150,6 +151,23 @@ class Load(Displayed):
         if self.distributed is not None and _stretches(self.distributed):
             positions += [end for part in self.distributed for end in (part.start, part.end)]
         return np.array(positions, dtype=float)
+
+    def bounds(self, length: float, mass: float) -> tuple[float, float]:
+        """Upper bounds on the force on any cross-section of an arm, N, and on the applied moments, N m.
+
+        Args:
+            length: length of the arm, m.
+            mass: mass of its tubes, kg.
+        """
+        along = turning = 0.0
+        if self.distributed is not None:
+            per_length = self.per_length(np.linspace(0, length, 33)[1:-1])
+            along, turning = (
+                float(np.linalg.norm(per_length[:, k], axis=-1).max(initial=0.0)) for k in (FORCE, MOMENT)
+            )
+        weight = math.hypot(*self.gravity) * mass if self.gravity else 0.0
+        force = sum(math.hypot(*part.force) for part in self.acting) + weight + along * length
+        return float(force), sum(math.hypot(*part.moment) for part in self.acting) + turning * length
 
     def per_length(self, arc_length: Array) -> Array:
         """Distributed load (..., 6) at arc lengths (...): force, N/m, and moment, N."""

@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..block.transcription.bundle import SAME_PLACE, Boundary, Bundle, boundaries, tubes_at
+from ..block.transcription.bundle import SAME_PLACE, Boundary, Bundle, boundaries, tubes_of_sections
 from ..block.transcription.tableau import tableau
 from ..equilibrium.linearised_bundle import CHANGED
 from ..typing import Array, Mask
@@ -115,8 +115,7 @@ def bounds_of(bundle: Bundle) -> Bounds | None:
     real = replace(bundle, **{field.name: np.real(getattr(bundle, field.name)) for field in fields(bundle)})
     order = tuple(sorted(boundaries(real), key=lambda b: b.arc_length))
     own_length = np.array([bundle.end[b.ends[0]] if b.ends else bundle.transition[b.tubes[0]] for b in order])
-    rows = [tubes_at(bundle, order[k:]) for k in range(len(order))]
-    present, curved = (np.array([row[k] for row in rows]) for k in (0, 1))
+    present, curved = tubes_of_sections(bundle, order)
     moment = _size(bundle.bending_stiffness * bundle.curvature) * curved
     kb = bundle.bending_stiffness * present
     stiffness = kb.sum(1) + bundle.sheath

@@ -212,13 +212,12 @@ def _margin_root(solved: Callable[[float], AnyPoint | None], low: float, high: f
         point = solved(t)
         return float("nan") if point is None else point.margin
 
-    if not margin(low) > 0:
-        return solved(low)
     try:
-        root = solved(float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)))
+        t = float(scipy.optimize.brentq(margin, low, high, xtol=1e-14, rtol=1e-14)) if margin(low) > 0 else low
     except ValueError:
         return None
-    # Where the margin jumps, the two ends lie on two branches, and there is no root on either.
+    root = solved(t)
+    # Where the margin jumps, there is no root: its ends lie on two branches, or ends of tubes separate.
     return root if root is not None and abs(root.margin) <= LEAST_STIFFNESS else None
 
 

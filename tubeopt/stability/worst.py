@@ -217,14 +217,16 @@ def _of_bundle(robot: BundleRobot, translations: Array, effort: SnapSearch) -> W
     """Smallest margin of the stable equilibria at the ends of local searches over joint rotations."""
 
     def margins(rotations: Array) -> Array:
-        batch = forward_kinematics_batch(robot, rotations, translations)
+        # A whole turn of a tube changes nothing here, but a search that finds no slope goes far.
+        batch = forward_kinematics_batch(robot, np.mod(rotations, 2 * np.pi), translations)
         return np.where(batch.converged, batch.margin, 1.0)
 
     samples = 2 * np.pi * sobol(robot.n_tubes, effort.samples)
     starts = samples[np.argsort(margins(samples))[:LOCAL_SEARCHES]]
     ends = minimise_together(margins, starts, x=1e-4, f=1e-7)
     best = min(ends, key=lambda end: end[1])[0]
-    return WorstMargin(forward_kinematics(robot, best, translations), len(ends), np.empty((0, robot.n_tubes)))
+    worst = forward_kinematics(robot, np.mod(best, 2 * np.pi), translations)
+    return WorstMargin(worst, len(ends), np.empty((0, robot.n_tubes)))
 
 
 def _subspaces(problem: ReducedProblem) -> list[tuple[Array, Index]]:

@@ -37,7 +37,7 @@ from ...typing import Array, Index, Mask
 from .arm import ArmShape, along_elements
 from .buffered import mapped
 from .collocated import ENDS
-from .mesh import Mesh
+from .mesh import Mesh, SectionNeeds, whole_elements
 from .orientation import (
     adjoint,
     centreline,
@@ -68,8 +68,10 @@ CLOSING = 1e-4
 TO_BOUNDARY = 0.5
 """Fraction of the way to a section or a tube without length that a step may go."""
 
-ELEMENT = 0.025
-"""Largest length (m) of an element: estimated errors of the thesis robot are then about 1e-11 rad."""
+
+# Torsion is the derivative of a polynomial here; of concentric tubes it is integrated from the torques.
+FINER, FINER_UNDER_LOAD = 3.0, 3.0
+"""Number of elements for each one of concentric tubes: errors of the thesis robot are then about 1e-11 rad."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,6 +216,12 @@ def tubes_at(bundle: Bundle, ahead: Sequence[Boundary]) -> tuple[Mask, Mask]:
     return present, present & np.array([i not in transitions for i in range(n)])
 
 
+def tubes_of_sections(bundle: Bundle, order: Sequence[Boundary]) -> tuple[Mask, Mask]:
+    """Masks (m, n) of the tubes that are present, and of those that are curved, in sections up to each boundary."""
+    present, curved = zip(*(tubes_at(bundle, order[k:]) for k in range(len(order))), strict=True)
+    return np.array(present), np.array(curved)
+
+
 @dataclass(frozen=True, eq=False)
 class BundleProblem:
     """Energy of a bundle with its boundaries in one order; N points, P elements, m sections, U unknowns.
@@ -243,8 +251,7 @@ class BundleProblem:
 
     @cached_property
     def _of_sections(self) -> tuple[Mask, Mask]:
-        rows = [tubes_at(self.bundle, self.order[k:]) for k in range(len(self.order))]
-        present, curved = (np.array([row[k] for row in rows]) for k in (0, 1))
+        present, curved = tubes_of_sections(self.bundle, self.order)
         if self.bundle.rigid_length > SAME_PLACE:
             # Energy of straightening counts beyond the rigid part only, as it does in front of the plate.
             curved[: 1 + self.boundary_at(self.bundle.rigid_length)] = False
@@ -919,9 +926,31 @@ def _relative(state: BundleState) -> Array:
 # --- Sections that vanish ---------------------------------------------------------------------------------------------
 
 
-def element_counts(length: Array, refinement: int) -> Index:
+@lru_cache(maxsize=64)
+def _needs(bundle: Bundle, order: tuple[Boundary, ...]) -> SectionNeeds:
+    """Needs of the sections that end at boundaries in their order."""
+    present, curved = tubes_of_sections(bundle, order)
+    kb = bundle.bending_stiffness * present
+    return SectionNeeds.of_even(kb, kb * bundle.curvature * curved, bundle.torsional_stiffness, bundle.sheath)
+
+
+def element_counts(
+    bundle: Bundle,
+    order: tuple[Boundary, ...],
+    length: Array,
+    refinement: int,
+    load: Load | None,
+    density: tuple[float, ...],
+) -> Index:
     """Numbers (m,) of elements of sections with lengths (m,), halved `refinement` times."""
-    return np.asarray(np.maximum(1, np.ceil(length / ELEMENT - SAME_PLACE)) * 2**refinement, dtype=np.intp)
+    needs = _needs(bundle, order)
+    if load is None:
+        need = FINER * needs.unloaded(length)
+    else:
+        own = np.maximum(bundle.end, 0.0)
+        bounds = load.bounds(float(own.max()), float(own @ np.array(density)) if density else 0.0)
+        need = FINER_UNDER_LOAD * needs.loaded(length, float(own.max()), *bounds)
+    return np.asarray(whole_elements(need) * 2**refinement)
 
 
 def problem_at(
@@ -934,7 +963,7 @@ def problem_at(
     density: tuple[float, ...] = (),
 ) -> BundleProblem:
     """Problem with the boundaries of a start in their order; elements are halved `refinement` times."""
-    count = element_counts(start.length, refinement)
+    count = element_counts(bundle, start.order, start.length, refinement, load, density)
     nominal = np.maximum(start.length, HELD) / count
     held = tuple(np.flatnonzero(start.length < 2 * HELD).tolist())
     return BundleProblem(bundle, start.order, nominal, count, tableau("gauss", degree), load, density, held)

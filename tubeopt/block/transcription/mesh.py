@@ -100,18 +100,44 @@ class SectionNeeds(NamedTuple):
     moment_ratio: Array
     """Largest |m| / kt of a tube, 1/m."""
 
+    @staticmethod
+    def of_even(stiffness: Array, moment: Array, torsional_stiffness: Array, sheath: float = 0.0) -> SectionNeeds:
+        """Needs of tubes that are even along sections, with kb, m (m, n), kt (n,), and the kb of a sheath, N m^2."""
+        return SectionNeeds(
+            rate=_rate(stiffness, moment, torsional_stiffness),
+            curvature=(np.abs(moment) / np.maximum(stiffness, 1e-300)).max(1, initial=0.0),
+            twist_elements=np.zeros(1),
+            stiffness=np.maximum(stiffness.sum(1) + sheath, 1e-300),
+            moment_ratio=(np.abs(moment) / torsional_stiffness).max(1, initial=0.0),
+        )
+
+    def unloaded(self, length: Array) -> Array:
+        """Fractional numbers (m,) of elements for coupling and bend of sections of lengths (m,), m."""
+        return np.maximum(self.rate * length / WAVES_PER_ELEMENT, self.curvature * length / BEND_PER_ELEMENT)
+
+    def loaded(self, length: Array, total: float, force: float, moment: float) -> Array:
+        """The same under a load on an arm with a total length, m.
+
+        Args:
+            force: largest force on a cross-section, N.
+            moment: moment at the tip, N m.
+        """
+        # Bending under a force n varies at the rate sqrt(n / K).
+        rate = np.sqrt(force / self.stiffness)
+        # Elastica: K u^2 / 2 + n.t is constant along the arm, so that u^2 <= 4 n / K. The curvature is also at most
+        # that by a lever as long as the arm. A moment at the tip adds its own curvature.
+        curvature = np.minimum(2 * rate, force * total / self.stiffness) + moment / self.stiffness
+        # Torsion at a curvature u varies at the rate sqrt(|m| u / kt), as a pendulum under gravity.
+        waves = np.maximum(np.maximum(self.rate, rate), np.sqrt(self.moment_ratio * curvature)) / LOADED_WAVES
+        bend = (self.curvature + curvature) / BEND_PER_ELEMENT
+        return np.asarray(np.maximum(waves, bend) * length)
+
 
 def section_needs(assembly: Assembly) -> SectionNeeds:
     """Quantities that determine the number of elements of each section."""
     if assembly.even:
         sections = assembly.of_sections(np.arange(assembly.n_sections))
-        return SectionNeeds(
-            rate=_rate(sections.stiffness, sections.moment, assembly.torsional_stiffness),
-            curvature=(np.abs(assembly.curvature) * assembly.curved).max(1, initial=0.0),
-            twist_elements=np.zeros(1),
-            stiffness=np.maximum(sections.stiffness.sum(1), 1e-300),
-            moment_ratio=(np.abs(sections.moment) / assembly.torsional_stiffness).max(1, initial=0.0),
-        )
+        return SectionNeeds.of_even(sections.stiffness, sections.moment, assembly.torsional_stiffness)
     table, count = assembly.lengthwise, len(SAMPLES)
     assert table is not None
     s = (assembly.start[:, None] + assembly.length[:, None] * SAMPLES).ravel()
@@ -145,14 +171,15 @@ def section_needs(assembly: Assembly) -> SectionNeeds:
 def element_counts(assembly: Assembly, refinement: int = 0) -> NDArray[np.intp]:
     """Number of elements (m,) per section, short enough for coupling and bend, each halved `refinement` times."""
     needs = section_needs(assembly)
-    waves, bend = needs.rate * assembly.length / WAVES_PER_ELEMENT, needs.curvature * assembly.length / BEND_PER_ELEMENT
-    shape = np.maximum(bend, needs.twist_elements)
-    shape = np.where(~assembly.coupled & (needs.twist_elements > 0), KNOWN * shape, shape)
-    need = np.maximum(waves, shape)
+    known = np.where(~assembly.coupled & (needs.twist_elements > 0), KNOWN, 1.0)
+    need = known * np.maximum(needs.unloaded(assembly.length), needs.twist_elements)
+    return np.where(need > 0, whole_elements(need) * 2**refinement, 1)
+
+
+def whole_elements(need: Array) -> NDArray[np.intp]:
+    """Numbers (m,) of elements, at least one each, for fractional numbers (m,)."""
     # 1e-9 is round-off: a section that needs exactly one element gets one.
-    elements: NDArray[np.intp] = np.maximum(1, np.ceil(need - 1e-9)).astype(np.intp) * 2**refinement
-    elements[need <= 0] = 1
-    return elements
+    return np.asarray(np.maximum(1, np.ceil(need - 1e-9)), dtype=np.intp)
 
 
 LOADED_WAVES = 0.5
@@ -166,17 +193,8 @@ def loaded_counts(assembly: Assembly, force: float, moment: float) -> NDArray[np
         force: largest force on a cross-section, N.  moment: moment at the tip, N m.
     """
     needs = section_needs(assembly)
-    # Bending under a force n varies at the rate sqrt(n / K).
-    rate = np.sqrt(force / needs.stiffness)
-    # Elastica: K u^2 / 2 + n.t is constant along the arm, so that u^2 <= 4 n / K. The curvature is also at most that by
-    # a lever as long as the arm. A moment at the tip adds its own curvature.
-    curvature = np.minimum(2 * rate, force * assembly.total_length / needs.stiffness) + moment / needs.stiffness
-    # Torsion at a curvature u varies at the rate sqrt(|m| u / kt), as a pendulum under gravity.
-    waves = np.maximum(np.maximum(needs.rate, rate), np.sqrt(needs.moment_ratio * curvature)) / LOADED_WAVES
-    bend = (needs.curvature + curvature) / BEND_PER_ELEMENT
-    need = np.maximum(np.maximum(waves, bend) * assembly.length, needs.twist_elements)
-    elements = np.ceil(need - 1e-9)
-    return np.asarray(np.maximum(1, elements).astype(np.intp))
+    need = needs.loaded(assembly.length, assembly.total_length, force, moment)
+    return whole_elements(np.maximum(need, needs.twist_elements))
 
 
 def loaded_mesh(assembly: Assembly, elements: NDArray[np.intp], *, family: str = "gauss", degree: int = 6) -> Mesh:

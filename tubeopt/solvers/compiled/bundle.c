@@ -1,7 +1,8 @@
 /* Equilibrium of tubes of fixed own length in a sheath: what block/transcription/bundle.py states, minimised by Newton's
    method.
 
-   Before it stand the functions that CasADi generates: `bundle_energy` of an element and `carry` of a pose.
+   Before it stand the functions that CasADi generates: `bundle_energy` of an element, `carry` of a pose, and
+   `coupling_rate`.
 
    Unknowns are the turns p and kappa at the points, the twist behind the plate, and the length h of the elements of each
    section; the own length of a tube up to a boundary is a constraint c = 0 with the multiplier lambda. Of the quadratic
@@ -167,16 +168,21 @@ static int begin(const Tubes *t, const double *alpha, int halvings, Layout *l, S
     l->rule = RULE;
     l->sections = 0;
     for (;;) {
-        double total = t->sheath, u[2] = {0}, stretch[N], least = INFINITY;
+        double total = t->sheath, u[2] = {0}, stretch[N], kb[N], moment[N], least = INFINITY, steepest = 0, need;
+        const double *in[] = {kb, moment, t->kt};
+        double *out[] = {&need};
         int next = -1, left = 0, j = l->sections;
         for (int k = 0; k < (int)t->boundaries && !left; k++)
             for (int i = 0; i < N; i++) left |= !passed[k] && t->boundary[k].ends[i] > 0;
         if (!left) break;
         tubes_before(t, passed, present, curved);
         for (int i = 0; i < N; i++) {
-            total += present[i] ? t->kb[i] : 0;
-            u[0] += curved[i] ? t->moment[i] * cos(alpha[i]) : 0;
-            u[1] += curved[i] ? t->moment[i] * sin(alpha[i]) : 0;
+            kb[i] = present[i] ? t->kb[i] : 0;
+            moment[i] = curved[i] ? t->moment[i] : 0;
+            if (curved[i]) steepest = fmax(steepest, fabs(moment[i]) / kb[i]);
+            total += kb[i];
+            u[0] += moment[i] * cos(alpha[i]);
+            u[1] += moment[i] * sin(alpha[i]);
         }
         for (int c = 0; c < 2; c++) bent[j][c] = u[c] / total;
         for (int i = 0; i < N; i++) stretch[i] = 1 + dot(t->lever[i], bent[j], 2);
@@ -191,7 +197,9 @@ static int begin(const Tubes *t, const double *alpha, int halvings, Layout *l, S
         length[j] = fmax(least, 0);
         for (int i = 0; i < N; i++) done[i] += stretch[i] * length[j];
         l->held[j] = length[j] < 2 * HELD;
-        l->count[j] = (int)fmax(1, ceil(length[j] / ELEMENT - SAME_PLACE)) << halvings;
+        coupling_rate(in, out, 0, 0, 0);
+        need = length[j] * fmax(need / WAVES_PER_ELEMENT, steepest / BEND_PER_ELEMENT);
+        l->count[j] = (int)fmax(1, ceil(need - 1e-9)) << halvings;
         state->h[j] = fmax(length[j], HELD) / l->count[j];
         l->order[j] = next;
         passed[next] = 1;

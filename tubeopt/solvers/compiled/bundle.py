@@ -14,8 +14,8 @@ import numpy as np
 from ...block.transcription.arm import ArmSolution, CollocationPoints, Errors, gauss_fractions
 from ...block.transcription.bundle import (
     CLOSING,
-    ELEMENT,
     FELT,
+    FINER,
     HELD,
     SAME_PLACE,
     TO_BOUNDARY,
@@ -24,7 +24,9 @@ from ...block.transcription.bundle import (
     boundaries,
 )
 from ...block.transcription.collocated import ENDS, SHAPE_STEPS
+from ...block.transcription.mesh import BEND_PER_ELEMENT, WAVES_PER_ELEMENT
 from ...block.transcription.tableau import tableau
+from ...physics.certificate import coupling_rate_function
 from ...physics.shape import carry_function
 from ...physics.torsion import bundle_energy
 from ...typing import Array
@@ -56,6 +58,7 @@ def bundle_source(n: int) -> str:
     generator = ca.CodeGenerator("mechanics.c")
     generator.add(bundle_energy(n))
     generator.add(carry_function())
+    generator.add(coupling_rate_function(n))
     constants = {
         "N": n,
         "DEGREE": DEGREE,
@@ -70,7 +73,8 @@ def bundle_source(n: int) -> str:
         "LARGEST_TWIST": LARGEST_TWIST,
         "SOFT_TWIST": SOFT_TWIST,
         "LEAST_STIFFNESS": LEAST_STIFFNESS,
-        "ELEMENT": ELEMENT,
+        "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT / FINER,
+        "BEND_PER_ELEMENT": BEND_PER_ELEMENT / FINER,
         "HELD": HELD,
         "FELT": FELT,
         "SAME_PLACE": SAME_PLACE,
