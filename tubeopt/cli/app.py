@@ -91,7 +91,7 @@ GROUPS: dict[str, tuple[type[TyperGroup], str]] = {
 PANELS = {
     "Ask": "fk ik equilibria snap follow drives fatigue load-limit force certify stability-map workspace view",
     "Design": "design design-pair",
-    "Plan": "plan plan-arms verify",
+    "Plan": "plan deploy plan-arms verify",
     "Build": "mold heat fabricate",
     "Measure": "commission validate measure",
     "Real time": "export serve",

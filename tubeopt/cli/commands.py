@@ -242,6 +242,13 @@ COMMANDS: dict[str, StudyCommand | str] = {
         example="tubeopt plan plan_thesis_turn --out results",
         from_file=True,
     ),
+    "deploy": StudyCommand(
+        "deploy",
+        """Lead the tip along a path through a lumen that the arm touches, with contact forces below a limit.
+
+        Exit code 3: the tip did not reach the end of the path; the motion up to there is saved.""",
+        example="tubeopt deploy thesis_ctr --walls bent_vessel --out results",
+    ),
     "plan-arms": StudyCommand(
         "plan_arms",
         """Plan snap-free trajectories of several robots that do not touch each other, and prove them.

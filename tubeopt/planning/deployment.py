@@ -26,7 +26,7 @@ from ..equilibrium.kinematics import forward_kinematics
 from ..equilibrium.result import Equilibrium
 from ..equilibrium.wall_contact import Solved, Walls, along_joints, at_walls, start_of
 from ..errors import InputError, SolveError, positive
-from ..files.field_metadata import form, unit
+from ..files.field_metadata import MARGIN, POSITIVE, Typical, form, unit
 from ..files.units import TO_MILLI, TO_MM
 from ..inverse.clock import Clock
 from ..inverse.gauss_newton import AcceptedStep, Restored, StepModel, descend
@@ -84,11 +84,9 @@ class Deployment(Displayed):
     """(T,) stable equilibria, the start first, then one per point of the path."""
     points: Array
     """(T, 3) points of the path that the tip was led to, m; the first is the start."""
-    status: DeploymentStatus
-    """Outcome."""
+    status: Annotated[DeploymentStatus, "outcome, as a sentence"]
     largest_force: Annotated[float, unit("mN"), form(".4g"), "largest force of a wall during the motion"]
-    reason: str = ""
-    """Reason why the tip is not at the end of the path, or ""."""
+    reason: Annotated[str, "reason why the tip is not at the end of the path; empty otherwise"] = ""
 
     @property
     def rotations(self) -> Array:
@@ -222,9 +220,9 @@ def deploy(  # noqa: PLR0913
     walls: Sequence[Obstacle],
     start: Equilibrium | None = None,
     load: Load | None = None,
-    largest_force: float = 0.5,
-    tolerance: float = 2e-3,
-    min_margin: float = 0.05,
+    largest_force: Annotated[float, unit("mN"), POSITIVE, Typical(1e-4, 20.0)] = 0.5,
+    tolerance: Annotated[float, unit("mm"), POSITIVE, Typical(1e-6, 0.05)] = 2e-3,
+    min_margin: Annotated[float, MARGIN] = 0.05,
     limits: JointLimits | None = None,
     progress: Callable[[int], object] | None = None,
     time_limit: float = LONG_TIME_LIMIT,
@@ -237,7 +235,7 @@ def deploy(  # noqa: PLR0913
         start: first pose. By default all tubes are drawn back as far as `limits` allow.
         load: load on the arm besides the walls.
         largest_force: limit on the force of every contact, N.
-        tolerance: largest distance (m) of the tip from the last point. Before, the tip leaves the path about as far
+        tolerance: largest distance of the tip from the last point, m. Before, the tip leaves the path about as far
             where this lowers the forces.
         min_margin: smallest margin with the walls.
         limits: ranges of the joint values.

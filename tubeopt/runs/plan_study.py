@@ -11,16 +11,19 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..bodies.anatomy import Anatomy
+from ..bodies.corridors import Corridor
 from ..bodies.frames import Frame, Plane
 from ..bodies.obstacles import Obstacle, scene_of
 from ..display import Displayed
-from ..errors import without_unit_warnings
+from ..errors import InputError, without_unit_warnings
 from ..files.checked import Entry, NotNegative, Positive, Triple, Whole, check_kind, in_file
 from ..files.field_metadata import Typical
 from ..files.fields import EntryOf, keys_from, values
+from ..files.units import MM
 from ..files.yaml_file import load_yaml
 from ..planning import (
     ArmsPlan,
+    Deployment,
     EntryRegion,
     PlacedRobot,
     PlanOptions,
@@ -28,6 +31,7 @@ from ..planning import (
     RateLimits,
     TipGoal,
     Trajectory,
+    deploy,
     plan_arms,
     plan_from_region,
     plan_trajectory,
@@ -42,6 +46,7 @@ from ..validation.certainty import PROBABILITIES, path_bounds
 from .real_robot import MOST_MARGIN, Judged, Reserve, check_confidence, kept_by_real_robot
 from .robot_keys import (
     DEFAULT_MARGIN,
+    ExternalLoad,
     Loaded,
     MinMargin,
     OnePerTube,
@@ -51,8 +56,8 @@ from .robot_keys import (
     joints_of,
     rewording_joints,
 )
-from .study_file import Study, Timed
-from .surroundings_file import BasePart, Bodies, Position, Surrounded, TipPosition
+from .study_file import Arguments, Options, Study, Timed, question, rewording
+from .surroundings_file import BasePart, Bodies, LumenBodies, Position, Surrounded, TipPosition
 
 RatesEntry = EntryOf[RateLimits]
 
@@ -503,3 +508,50 @@ class VerifyStudy(Surrounded, Loaded, Timed):
         )
         proof = of_real_robot(proof, joints.rotations, joints.translations, required.bodies, asked)
         return VerifiedTrajectory(file, joints, proof, required.bodies)
+
+
+# --- Deployment among walls that the arm touches ----------------------------------------------------------------------
+
+
+def _centreline(walls: tuple[Obstacle, ...]) -> Array:
+    """Centreline (k, 3) of the only corridor among the walls, in front of the plate, m.
+
+    Raises:
+        InputError: there is no corridor, or more than one.
+    """
+    corridors = [body for body in walls if isinstance(body, Corridor)]
+    if len(corridors) != 1:
+        raise InputError(f"walls have {len(corridors)} corridors; without tip_path_mm they must have 1")
+    points = np.array(corridors[0].centreline)
+    in_front = points[points[:, 2] > 0]
+    if len(in_front) < 2:
+        raise InputError(
+            f"the corridor has {len(in_front)} points in front of the plate; without tip_path_mm it needs 2"
+        )
+    return in_front
+
+
+TipPath = Annotated[
+    list[Triple] | None,
+    Field(
+        min_length=1,
+        description="points that lead the tip, such as the centreline of a vessel; default the centreline of the only "
+        "corridor among the walls",
+    ),
+]
+
+
+@question("leading the tip")
+def deploy_tip(
+    robot: RobotPath,
+    walls: LumenBodies,
+    load: ExternalLoad,
+    options: Annotated[Options, Arguments(deploy, "largest_force", "tolerance", "min_margin")],
+    tip_path_mm: TipPath = None,
+    progress: Progress | None = None,
+) -> Deployment:
+    """Motion that leads the tip along a path among walls; no contact force exceeds a limit."""
+    path = _centreline(walls) if tip_path_mm is None else np.array(tip_path_mm, dtype=float) * MM
+    step = None if progress is None else lambda points: progress(points, 0)
+    with rewording({r"^path\b": "tip_path_mm"}):
+        return deploy(robot, path, walls=walls, load=load, progress=step, **options)

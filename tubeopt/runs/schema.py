@@ -184,6 +184,7 @@ TITLES = {
     # studies
     "ArmsStudy": "Study: plan several robots",
     "CertifyStudy": "Study: certify",
+    "DeployStudy": "Study: deploy the arm among walls",
     "DesignStudy": "Study: design",
     "DrivesStudy": "Study: loads of the drives",
     "EquilibriaStudy": "Study: all equilibria",

@@ -257,6 +257,7 @@ STUDY_KINDS = Kinds(
         "design_pair": "design_study.PairStudy",
         "plan": "plan_study.PlanStudy",
         "plan_arms": "plan_study.ArmsStudy",
+        "deploy": "plan_study.deploy_tip",
         "verify": "plan_study.VerifyStudy",
         "workspace": "inverse_study.find_workspace",
         "oven": "heating_study.plan_soak",

@@ -584,6 +584,15 @@ WallBodies = Annotated[
 ]
 """Walls that push the arm."""
 
+LumenBodies = Annotated[
+    Bodies,
+    Field(
+        description="walls of the lumen, without friction: a YAML file of obstacles, or a list of bodies",
+        examples=["OBSTACLES.yaml"],
+    ),
+]
+"""Walls that the arm cannot do without."""
+
 
 class Surrounded(Entry):
     """Robot with obstacles and an anatomy around it."""

@@ -226,6 +226,7 @@ EXAMPLES: dict[str, Callable[[Robot], Data]] = {
     "commission": lambda robot: {"logs": ["commission_log"]},
     "measure": lambda robot: {"fit": ["curvature_1"]},
     "plan": lambda robot: {"goal_deg": _turn(robot, 90)},
+    "deploy": lambda robot: {"walls": "bent_vessel"},
     "design": _design,
     "workspace": lambda robot: {"samples": 2000},
     "fabrication": lambda robot: {"rig": "thesis_calcium_silicate", "sensor": "thermocouple"},

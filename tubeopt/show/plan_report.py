@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.util import find_spec
 from itertools import chain
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,14 +16,16 @@ from rich.console import Group
 from rich.text import Text
 
 from ..bodies.frames import Frame, roll_of
+from ..equilibrium.readings import to_readings
+from ..equilibrium.result import Equilibrium, WallForce
 from ..errors import NotProvedError, SolveError
 from ..files.csv_file import to_csv
 from ..files.files import write_text
 from ..files.units import TO_MM
-from ..planning import ArmsPlan, Entry, PairProof, Proof, Trajectory
+from ..planning import ArmsPlan, Deployment, Entry, PairProof, Proof, Trajectory
 from ..planning.trajectory import save_joint_trajectory, save_trajectory
 from ..robots.calibration import PathBounds
-from ..robots.file import save_robot
+from ..robots.file import joint_cells, joint_columns, save_robot
 from ..runs.plan_study import VerifiedTrajectory
 from ..stability import ASSUMING
 from ..stability.deflection import ForceBound
@@ -499,3 +502,72 @@ class ArmsReport(Report[ArmsPlan]):
         """Raise NotProvedError if a requirement is not proved."""
         if not self.answer.proved:
             raise NotProvedError(f"trajectories were found, but: {self.answer.status}")
+
+
+class _Step(NamedTuple):
+    """Equilibrium of a deployment and the point of the path that its tip was led to."""
+
+    equilibrium: Equilibrium
+    miss: float
+    """Distance of the tip from the point, m."""
+
+
+def _steps(d: Deployment) -> list[_Step]:
+    return [_Step(*each) for each in zip(d.equilibria, d.misses.tolist(), strict=True)]
+
+
+STEP: tuple[Quantity[_Step], ...] = (
+    *(
+        Quantity(f"{name}_{unit}", text, attrgetter(f"equilibrium.{name}"))
+        for name, unit, text in (
+            ("rotations", "deg", "rotations"),
+            ("translations", "mm", "translations"),
+            ("tip_position", "mm", "tip position"),
+        )
+    ),
+    Quantity("miss_mm", "distance of the tip from its point of the path", lambda step: step.miss),
+    Quantity("margin", "margin with the walls", lambda step: step.equilibrium.margin),
+    Quantity("contacts", "contacts with walls, base to tip",
+             lambda step: list(step.equilibrium.walls.contacts), of=described(WallForce)),
+)  # fmt: skip
+
+DEPLOYMENT = described(
+    Deployment,
+    Quantity("robot", "name of the robot", lambda d: d.equilibria[0].robot.name),
+    of_field(Deployment, "status", label="outcome", text="{status}"),
+    of_field(Deployment, "reason", text=lambda d: d.reason or None, label="reason"),
+    "largest_force",
+    Quantity("miss_mm", "distance of the tip from the last point of the motion", lambda d: d.misses[-1], form=".3f"),
+    Quantity(
+        "least_margin", "smallest margin at the points", lambda d: min(e.margin for e in d.equilibria), form=".4f"
+    ),
+    line("at the end", lambda d: joints_text(d.equilibria[-1])),
+    Quantity("steps", "start of the motion, and the equilibrium at every point of the path", _steps, of=STEP),
+)  # fmt: skip
+
+
+class DeploymentReport(Report[Deployment]):
+    command = "deploy"
+    quantities = DEPLOYMENT
+    file = "deployment.json"
+    drawn = (("deployment", "shape.plot_deployment"),)
+
+    def title(self) -> str:
+        return self.answer.equilibria[0].robot.name or "robot"
+
+    def save(self, directory: Path) -> list[Path]:
+        """Write waypoints.csv, which `follow` reads, and deployment.json."""
+        first = self.answer.equilibria[0].robot
+        turns, shifts = joint_columns(first.n_tubes)
+        cells = (joint_cells(*to_readings(first, e.rotations, e.translations)) for e in self.answer.equilibria)
+        write_text(directory / "waypoints.csv", to_csv([*turns, *shifts], cells))
+        return [directory / "waypoints.csv", self.save_record(directory)]
+
+    def solids(self) -> dict[str, Equilibrium]:
+        """Arm at the end of the motion, to save as a mesh."""
+        return {"arm": self.answer.equilibria[-1]}
+
+    def conclude(self) -> None:
+        """Raise SolveError if the tip did not reach the end of the path."""
+        if self.answer.reason:
+            raise SolveError(f"{self.answer.status}: {self.answer.reason}")

@@ -66,6 +66,7 @@ MODULES = {
         "Trajectory",
         "VerifiedTrajectory",
         "ArmsPlan",
+        "Deployment",
     ),
     "snap_report": (
         "LoadLimitResult",

@@ -13,6 +13,7 @@ from ...arguments import typed
 from ...equilibrium.result import Equilibrium
 from ...errors import InputError
 from ...files.units import TO_MILLI, TO_MM
+from ...planning import Deployment
 from ...typing import Array
 from ..page import tube_colour
 from ..surfaces import Detail, SampledCentreline, TubeGroup, tube_groups
@@ -23,6 +24,10 @@ from .scene import PRINTED, DrawnArm, DrawnTarget, PlotScene, close_up_radius, d
 from .style import FAINT, INK, Axes, Figure, caption, disk, entitle, headed, narrow, new_figure, number, picture
 
 GHOST_OPACITY = 0.25
+
+GHOSTS = 4
+"""Largest number of arms on the way of a motion."""
+
 UNSTABLE = "#A02020"
 
 CLOSE_UP = Detail(72, 24, even=True)
@@ -58,6 +63,23 @@ def plot_shape(
     figure = new_figure(7.0, 5.0)
     headed(figure, "\n".join(filter(None, (caption(equilibrium), remark))))
     draw_scenes(figure, [equilibrium], [ghosts], view)
+    return figure
+
+
+@picture
+def plot_deployment(deployment: Deployment, *, view: tuple[float, float] | None = None) -> Figure:
+    """Picture of the end of a deployment among its walls, with the arm on the way translucent.
+
+    Args:
+        deployment: of `deploy`.
+        view: as in `plot_shape`.
+    """
+    *way, last = deployment.equilibria
+    shown = np.unique(np.linspace(0, len(way) - 1, GHOSTS).round().astype(int)).tolist() if way else []
+    remark = f"deployed: largest contact force {number(TO_MILLI * deployment.largest_force, 1)} mN"
+    figure = new_figure(7.0, 5.4)
+    headed(figure, f"{caption(last)}\n{remark}")
+    draw_scenes(figure, [last], [[way[k] for k in shown]], view)
     return figure
 
 

@@ -1,0 +1,470 @@
+"""Arms that touch walls against stiff springs in the limit.
+
+    python -m benchmarks.contact [--arms 1000] [--seed 0]
+
+Robots of configs/robots stand at random joint values among one to five random bodies that reach into the free arm. The
+reference knows nothing of the solver: springs along the walls grow stiffer by the factor 8, from none to hard ones, and
+the equations of loaded arms, written once more, are solved by shooting from the plate. Its limit is extrapolated.
+Counted: tips that differ by more than 1e-6 m and forces by more than 1 mN, on the same branch or on another one; gap
+times force above 1e-9 J; and poses that a wall out of reach changes in any bit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import tempfile
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+import tubeopt
+from benchmarks.timing import ROOT, show, summarise, table
+from tubeopt import ConcentricRobot, Equilibrium, SolveError
+from tubeopt.bodies import Capsule, HalfSpace, Sphere
+from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.inverse.joints import joint_space
+
+Array = NDArray[np.float64]
+
+MOST_BODIES, STEPS, PIECES, IN_ZONE = 5, 600, 24, 60
+"""Most bodies, steps of the integration, pieces that are shot separately, and steps per zone of contact."""
+
+SOFTEST, SOFT, STIFFER = 1e2, 3e7, 8.0
+"""Stiffness (N/m^2) of the first springs and of the last but one, and the largest factor between two of them."""
+
+LEAST, LIMITS = 1.05, 5
+"""Least factor between two stiffnesses, and number of limits that are tried."""
+
+SAME_BRANCH = 1e-3
+"""Distance (m) of two tips that are not on one branch."""
+
+TIP, FORCE, COMPLEMENTARITY = 1e-6, 1e-3, 1e-9
+"""Largest differences of tip, m, and force, N, and largest gap times force, J."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A robot at joint values among bodies, and its arm without them."""
+
+    free: Equilibrium
+    bodies: tuple[Any, ...]
+
+
+@lru_cache
+def samples(robot: ConcentricRobot) -> Array:
+    """Admissible joint values (N, 2 n)."""
+    return joint_space(robot).sample(1024)
+
+
+def random_case(robot: ConcentricRobot, random: np.random.Generator, count: int) -> Case | None:
+    """Bodies (count,) that reach up to 3 mm into a free arm; None if the arm is short, unstable or meets itself."""
+    space = joint_space(robot)
+    many = samples(robot)
+    _, translations = space.split(many[random.integers(len(many))])
+    try:
+        free = tubeopt.forward_kinematics(robot, random.uniform(-3, 3, robot.n_tubes), translations)
+    except SolveError:
+        return None
+    length = free.arc_length[-1]
+    if length < 0.03 or free.margin < 0.05:
+        return None
+    surface, bodies = ArmSurface(free), []
+    for _ in range(50):
+        i = int(np.searchsorted(free.arc_length, length * random.uniform(0.3, 1.0)))
+        i = min(i, len(free.position) - 1)
+        radius, depth = random.uniform(2e-3, 20e-3), random.uniform(0.5e-3, 3e-3)
+        turn = random.uniform(0, 2 * np.pi)
+        normal = free.frame[i] @ [np.cos(turn), np.sin(turn), 0.0]
+        thick = float(surface.radius(free.arc_length[i : i + 1])[0])
+        centre = free.position[i] - normal * (radius + thick - depth)
+        axis = np.cross(normal, random.normal(size=3))
+        axis *= 0.02 / np.linalg.norm(axis)
+        body = (
+            Sphere(tuple(centre), radius),
+            Capsule(tuple(centre - axis), tuple(centre + axis), radius),
+            HalfSpace(tuple(centre + normal * radius), tuple(normal)),
+        )[random.integers(3)]
+        if body.signed_distance(np.zeros(3)) > 4e-3:
+            bodies.append(body)
+        if len(bodies) == count:
+            return Case(free, tuple(bodies))
+    return None
+
+
+# --- Springs along the walls ------------------------------------------------------------------------------------------
+
+
+@lru_cache
+def _functions(n: int) -> tuple[Any, Any, Any]:
+    """Steps of RK4 along the arm for n tubes: all states, the slopes of all steps, and gaps of all states."""
+    y, k, radius = casadi.SX.sym("y", 2 * n + 12), casadi.SX.sym("k"), casadi.SX.sym("radius")
+    h, kb, moment, soft = (casadi.SX.sym(name, size) for name, size in (("h", 1), ("kb", n), ("moment", n), ("c", n)))
+    body = casadi.SX.sym("body", 8, MOST_BODIES)
+
+    def distance(point: Any, row: Any) -> Any:
+        plane, a, b = row[0], row[1:4], row[4:7]
+        along = casadi.dot(point - a, b - a) / (casadi.dot(b - a, b - a) + 1e-30)
+        axis = a + casadi.fmin(casadi.fmax(along, 0), 1) * (b - a)
+        round_body = casadi.sqrt(casadi.dot(point - axis, point - axis)) - row[7]
+        return casadi.if_else(plane, casadi.dot(point - a, b), round_body)
+
+    def gaps(point: Any, thick: Any) -> Any:
+        return casadi.vertcat(*(distance(point, body[:, b]) - thick for b in range(MOST_BODIES)))
+
+    def slope(y: Any) -> Any:
+        theta, t, m, force = y[:n], y[n : 2 * n], y[2 * n : 2 * n + 2], y[2 * n + 2 : 2 * n + 5]
+        point, q = y[2 * n + 5 : 2 * n + 8], y[2 * n + 8 :]
+        ax, ay = moment * casadi.cos(theta), moment * casadi.sin(theta)
+        u = casadi.vertcat(m[0] + casadi.sum1(ax), m[1] + casadi.sum1(ay)) / casadi.sum1(kb)
+        w, v = q[0], q[1:]
+        # Columns of the rotation matrix.
+        rotation = (w**2 - casadi.dot(v, v)) * casadi.SX.eye(3) + 2 * v @ v.T + 2 * w * casadi.skew(v)
+        local, total = rotation.T @ force, casadi.sum1(t)
+        pressing = casadi.SX.zeros(3)
+        at = casadi.SX.sym("at", 3)
+        for b in range(MOST_BODIES):
+            normal = casadi.gradient(distance(at, body[:, b]), at)
+            part = casadi.fmax(0, -(distance(at, body[:, b]) - radius)) * normal
+            pressing += k * casadi.substitute(part, at, point)
+        turn = casadi.vertcat(u[0], u[1], 0)
+        return casadi.vertcat(
+            soft * t,
+            u[0] * ay - u[1] * ax,
+            -u[1] * total + local[1],
+            u[0] * total - local[0],
+            -pressing,
+            rotation[:, 2],
+            -casadi.dot(v, turn) / 2,
+            (w * turn + casadi.cross(v, turn)) / 2,
+        )
+
+    one = slope(y)
+    two = slope(y + h / 2 * one)
+    three = slope(y + h / 2 * two)
+    after = y + h / 6 * (one + 2 * two + 2 * three + slope(y + h * three))
+    given = [casadi.vertcat(h, kb, moment, soft, radius), k, body]
+    options = {"cse": True}
+    step = casadi.Function("step", [y, *given], [after], options)
+    slopes = casadi.Function("slopes", [y, *given], [casadi.jacobian(after, y)], options)
+    gap = casadi.Function("gap", [y[2 * n + 5 : 2 * n + 8], radius, body], [gaps(y[2 * n + 5 : 2 * n + 8], radius)])
+    with tempfile.TemporaryDirectory() as folder:
+        code = casadi.CodeGenerator("springs.c")
+        for each in (step, slopes, gap):
+            code.add(each)
+        code.generate(folder + "/")
+        library = f"{folder}/springs.so"
+        subprocess.run(["cc", "-O1", "-shared", "-fPIC", f"{folder}/springs.c", "-o", library, "-lm"], check=True)
+        step, slopes, gap = (casadi.external(name, library) for name in ("step", "slopes", "gap"))
+    return step.mapaccum(STEPS // PIECES).map(PIECES), slopes.map(STEPS), gap.map(STEPS + 1)
+
+
+class Springs:
+    """Arm of a case on springs along the walls, by shooting."""
+
+    def __init__(self, case: Case) -> None:
+        free, robot = case.free, case.free.robot
+        tubes, self.n = robot.tubes, robot.n_tubes
+        self.kb, self.kt, kappa, straight, curved, outer = (
+            np.array([getattr(tube, name) for tube in tubes])
+            for name in (
+                "bending_stiffness",
+                "torsional_stiffness",
+                "curvature",
+                "straight_length",
+                "curved_length",
+                "outer_diameter",
+            )
+        )
+        self.kappa, self.radius = kappa, outer / 2
+        held = free.translations - straight
+        self.bend, self.end = held + straight, held + straight + curved
+        self.rotations, self.lever = free.rotations, -held
+        self.length = float(self.end.max())
+        self.walls, self.bodies = case.bodies, np.zeros((8, MOST_BODIES))
+        self.bodies[1:7] = 10.0
+        for k, body in enumerate(case.bodies):
+            if isinstance(body, Sphere):
+                self.bodies[:, k] = 0, *body.centre, *body.centre, body.radius
+            elif isinstance(body, Capsule):
+                self.bodies[:, k] = 0, *body.start, *body.end, body.radius
+            else:
+                self.bodies[:, k] = 1, *body.point, *body.normal, 0
+        cuts = np.concatenate([self.bend, self.end, [0.0]])
+        self.cuts = np.unique(cuts[(cuts >= 0) & (cuts <= self.length)])
+        self.functions = _functions(self.n)
+        self.zones: list[tuple[float, float]] = []
+        self.scale = np.ones(2 * self.n + 12)
+        self.scale[self.n : 2 * self.n] = self.kt / self.length
+        self.scale[2 * self.n : 2 * self.n + 8] = np.repeat(
+            self.kb.max() / self.length ** np.array([1, 2, -1]), (2, 3, 3)
+        )
+        self.scale[-7:-4] = self.length
+        # From the arm without walls, and no force.
+        self.s, torque = free.arc_length, free.torsion * self.kt[:, None]
+        still = np.zeros((5, len(self.s)))
+        turned = Rotation.from_matrix(free.frame).as_quat(scalar_first=True)
+        turned *= np.sign(np.cumprod(np.sign((turned * np.roll(turned, 1, axis=0)).sum(1)))[:, None])
+        turned *= np.sign(turned[0, 0])
+        self.states = np.vstack([free.rotation, torque, still, free.position.T, turned.T])
+
+    def grid(self) -> Array:
+        """Ends of the steps (STEPS + 1,): fine in zones of contact, the last steps without length."""
+        parts = [self.cuts, *(np.linspace(*zone, IN_ZONE) for zone in self.zones)]
+        inside = np.unique(np.clip(np.concatenate(parts), 0, self.length))
+        left = STEPS - len(inside)
+        parts += [np.linspace(0, self.length, max(left, 100))]
+        out = np.unique(np.clip(np.concatenate(parts), 0, self.length))[: STEPS + 1]
+        if out[-1] < self.length:
+            raise SolveError("too many zones of contact")
+        return np.concatenate([out, np.full(STEPS + 1 - len(out), self.length)])
+
+    def run(self, nodes: Array, k: float, s: Array) -> tuple[Array, Array, Any]:
+        """States (N, STEPS + 1) from nodes (N, PIECES), scaled equations of nodes and ends, and their derivative."""
+        n, size, middle, per = self.n, 2 * self.n + 12, (s[1:] + s[:-1]) / 2, STEPS // PIECES
+        present = self.end[:, None] > middle
+        curved = present & (self.bend[:, None] < middle)
+        thick = np.where(present, self.radius[:, None], 0).max(0)
+        kb = np.where(present, self.kb[:, None], 0.0)
+        kb[:, ~present.any(0)] = 1.0
+        moment = curved * (self.kb * self.kappa)[:, None]
+        given = np.vstack([np.diff(s), kb, moment, present / self.kt[:, None], thick])
+        hard, bodies, scale = np.full(STEPS, k), np.tile(self.bodies, STEPS), self.scale
+        step, slopes, _ = self.functions
+        after = np.array(step(nodes, given, hard, bodies))
+        states = np.column_stack([nodes[:, 0], after])
+        before = states[:, :-1].copy()
+        before[:, ::per] = nodes
+        each = np.array(slopes(before, given, hard, bodies)).reshape(size, STEPS, size).swapaxes(0, 1)
+        each = each.reshape(PIECES, per, size, size)
+        transfer = each[:, 0]
+        # A trial step may overflow; it is then refused.
+        with np.errstate(all="ignore"):
+            for j in range(1, per):
+                transfer = each[:, j] @ transfer
+        transfer = transfer * scale / scale[:, None]
+        last = after[:, per - 1 :: per]
+        equations, total = [], PIECES * size
+        slope = np.zeros((total, total))
+        first = nodes[:, 0]
+        plate = np.concatenate(
+            [first[:n] - self.rotations - self.lever * first[n : 2 * n] / self.kt, first[-7:] - [0, 0, 0, 1, 0, 0, 0]]
+        )
+        equations.append(plate / np.concatenate([scale[:n], scale[-7:]]))
+        slope[:n, :n], slope[:n, n : 2 * n] = np.eye(n), -np.diag(self.lever / self.kt * scale[n : 2 * n])
+        slope[n : n + 7, size - 7 : size] = np.eye(7)
+        row = n + 7
+        for j in range(PIECES - 1):
+            equations.append((last[:, j] - nodes[:, j + 1]) / scale)
+            slope[row : row + size, j * size : (j + 1) * size] = transfer[j]
+            slope[row : row + size, (j + 1) * size : (j + 2) * size] = -np.eye(size)
+            row += size
+        tip = slice(n, 2 * n + 5)
+        equations.append(last[tip, -1] / scale[tip])
+        slope[row:, -size:] = transfer[-1][tip]
+        return states, np.concatenate(equations), slope
+
+    def solve(self, k: float, s: Array) -> bool:
+        """True if the arm is in equilibrium with springs of stiffness k, N/m^2, on a grid."""
+        at = s[:: STEPS // PIECES][:PIECES]
+        nodes = np.array([np.interp(at, self.s, row) for row in self.states])
+        states, off, slope = self.run(nodes, k, s)
+        for _ in range(20):
+            if np.abs(off).max() < 1e-10:
+                self.states, self.s = states, s
+                return True
+            change = -np.linalg.solve(slope, off).reshape(PIECES, -1).T * self.scale[:, None]
+            size, before = 1.0, np.linalg.norm(off)
+            while size > 0.02:
+                trial = self.run(nodes + size * change, k, s)
+                if np.linalg.norm(trial[1]) < (1 - size / 10) * before:
+                    break
+                size /= 2
+            else:
+                return False
+            nodes, (states, off, slope) = nodes + size * change, trial
+        return False
+
+    def gaps(self, states: Array, s: Array) -> Array:
+        """Gaps (bodies, STEPS + 1) along the arm, m."""
+        thick = np.where(self.end[:, None] >= s - 1e-12, self.radius[:, None], 0).max(0)
+        bodies = np.tile(self.bodies, STEPS + 1)
+        return np.array(self.functions[2](states[2 * self.n + 5 : 2 * self.n + 8], thick, bodies))
+
+    def refine(self, states: Array, s: Array) -> None:
+        """Zones around places where the arm is in a wall."""
+        zones = []
+        for gap in self.gaps(states, s):
+            inside = np.flatnonzero(np.diff(np.concatenate([[False], gap < 0, [False]]).astype(int)))
+            for first, last in inside.reshape(-1, 2):
+                a, b = s[max(first - 1, 0)], s[min(last, len(s) - 1)]
+                zones.append((a - 0.3 * (b - a), b + 0.3 * (b - a)))
+        self.zones = zones
+
+    def limits(self) -> Iterator[tuple[Array, Array]]:
+        """Tip (3,), m, and forces (bodies, 3), N, of rigid walls: limits of springs ever stiffer, ever more accurate.
+
+        It ends where Newton's method fails.
+        """
+        k = SOFTEST
+        self._settle(k)
+        soft = self._harden(k, SOFT)
+        for k in SOFT * STIFFER ** np.arange(LIMITS):
+            hard = self._harden(k, STIFFER * k)
+            # Springs give way by k^(-2/3), as the length that they press grows with their depth.
+            yield tuple((4 * b - a) / 3 for a, b in zip(soft, hard, strict=True))
+            soft = hard
+
+    def _harden(self, k: float, to: float) -> tuple[Array, Array]:
+        """Tip (3,), m, and forces (bodies, 3), N, of springs of stiffness `to`, N/m^2, from springs of stiffness k.
+
+        Raises:
+            SolveError: Newton's method fails.
+        """
+        stiffer = STIFFER
+        while k < to:
+            known, following = (self.states, self.s, self.zones), min(k * stiffer, to)
+            try:
+                out = self._settle(following, 1 if following < to else 3)
+            except SolveError:
+                (self.states, self.s, self.zones), stiffer = known, stiffer**0.5
+                if stiffer < LEAST:
+                    raise
+            else:
+                k, stiffer = following, min(STIFFER, stiffer**1.5)
+        return out
+
+    def _settle(self, k: float, passes: int = 1) -> tuple[Array, Array]:
+        """Tip (3,), m, and forces (bodies, 3), N, of springs of stiffness k, N/m^2."""
+        for _ in range(passes):
+            s = self.grid()
+            if not self.solve(k, s):
+                raise SolveError(f"springs of {k:.1e} N/m^2: shooting does not converge")
+            states = self.states
+            self.refine(states, s)
+        pressed, n = np.minimum(self.gaps(states, s), 0.0), self.n
+        points = states[2 * n + 5 : 2 * n + 8].T
+        # Where several bodies press, each has its part of the change of the force on the cross-section.
+        normals = np.array([body.gradient(points) for body in self.walls])
+        per_length = -k * pressed[: len(normals), :, None] * normals
+        parts = (per_length[:, 1:] + per_length[:, :-1]) / 2 * np.diff(s)[:, None]
+        change = -np.diff(states[2 * n + 2 : 2 * n + 5]).T
+        alone = parts.any(2).sum(0) == 1
+        forces = np.where(alone[:, None], parts.any(2)[..., None] * change, parts)
+        return points[-1], forces.sum(1)
+
+
+def compared(case: Case, pose: Equilibrium) -> tuple[float, float]:
+    """Differences of the tip, m, and of the force of a body, N, from springs in the limit.
+
+    Raises:
+        SolveError: the springs have no limit.
+    """
+    forces = np.zeros((len(case.bodies), 3))
+    for contact in pose.walls.contacts:
+        forces[contact.body - 1] += contact.force
+    last = None
+    for limit in Springs(case).limits():
+        off = _difference(limit, (pose.tip_position, forces))
+        if off[0] > SAME_BRANCH or (off[0] < TIP / 10 and off[1] < FORCE / 10):
+            return off
+        # Otherwise the limit must be known as accurately.
+        if last is not None and (np.array(_difference(limit, last)) < (TIP / 10, FORCE / 10)).all():
+            return off
+        last = limit
+    raise SolveError("the limit of the springs is not accurate enough")
+
+
+def _difference(a: tuple[Array, Array], b: tuple[Array, Array]) -> tuple[float, float]:
+    return float(np.linalg.norm(a[0] - b[0])), float(np.abs(a[1] - b[1]).max())
+
+
+def contacts(arms: int, seed: int) -> tuple[dict[str, Any], list[str]]:
+    """Counts of random arms among walls, and a line for each one that fails."""
+    every = [tubeopt.load_robot(path) for path in sorted((ROOT / "configs" / "robots").glob("*.yaml"))]
+    robots = [r for r in every if isinstance(r, ConcentricRobot) and not any(tube.pieces for tube in r.tubes)]
+    names = "arms", "without contact", "refused", "refused, springs settle", "springs fail", "compared", "wrong"
+    out, seconds, notes = dict.fromkeys((*names, "other branch", "open", "changed"), 0), [], []
+    places, tips, forces, work = np.zeros(MOST_BODIES + 2, int), [], [], []
+    number = 0
+    while out["arms"] < arms:
+        number += 1
+        random = np.random.default_rng([seed, number])
+        robot = robots[number % len(robots)]
+        case = random_case(robot, random, int(random.integers(1, MOST_BODIES + 1)))
+        if case is None:
+            continue
+        out["arms"] += 1
+        free, label = case.free, f"arm {number}, {robot.name}"
+        far = tubeopt.forward_kinematics(robot, free.rotations, free.translations, walls=[Sphere((0, 0, -9.0), 1.0)])
+        same = np.array_equal(far.position, free.position) and far.margin == free.margin
+        out["changed"] += not same
+        begun, pose = time.process_time(), None
+        try:
+            pose = tubeopt.forward_kinematics(robot, free.rotations, free.translations, walls=case.bodies)
+        except SolveError as error:
+            out["refused"] += 1
+            try:
+                next(Springs(case).limits())
+            except SolveError:
+                continue
+            out["refused, springs settle"] += 1
+            notes.append(f"{label}: {error}; springs settle")
+            continue
+        touched = pose.walls.contacts
+        if not touched:
+            out["without contact"] += 1
+            continue
+        seconds.append(time.process_time() - begun)
+        places[min(len(touched), MOST_BODIES + 1)] += 1
+        for contact in touched:
+            point, thick = ArmSurface(pose).at(np.array([contact.arc_length]))
+            gap = float(case.bodies[contact.body - 1].signed_distance(point[0]) - thick[0])
+            work.append(abs(gap) * contact.size)
+        try:
+            off = compared(case, pose)
+        except SolveError as error:
+            out["springs fail"] += 1
+            notes.append(f"{label}: {error}")
+            continue
+        out["compared"] += 1
+        if off[0] > SAME_BRANCH:
+            out["other branch"] += 1
+            notes.append(f"{label}: tip {1e3 * off[0]:.3g} mm off, {len(touched)} contacts")
+            continue
+        tips.append(off[0])
+        forces.append(off[1])
+        if off[0] > TIP or off[1] > FORCE:
+            out["wrong"] += 1
+            notes.append(
+                f"{label}: tip {1e6 * off[0]:.3g} um, force {1e3 * off[1]:.3g} mN off, {len(touched)} contacts"
+            )
+    out["open"] = int((np.array(work) > COMPLEMENTARITY).sum())
+    out["places"] = " ".join(map(str, places[1:]))
+    out["largest tip difference, um"] = f"{1e6 * max(tips, default=0.0):.2g}"
+    out["largest force difference, mN"] = f"{1e3 * max(forces, default=0.0):.2g}"
+    out["largest gap times force, J"] = f"{max(work, default=0.0):.1e}"
+    out["ms, median"] = f"{1e3 * summarise(seconds).median:.3g}" if seconds else ""
+    return out, notes
+
+
+def main() -> None:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--arms", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    counted, notes = contacts(arguments.arms, arguments.seed)
+    rows = [(name, str(value)) for name, value in counted.items()]
+    show([table("Random arms among walls", ("", "all robots"), rows)], notes)
+
+
+if __name__ == "__main__":
+    main()
