@@ -528,7 +528,8 @@ STEP: tuple[Quantity[_Step], ...] = (
     Quantity("miss_mm", "distance of the tip from its point of the path", lambda step: step.miss),
     Quantity("margin", "margin with the walls", lambda step: step.equilibrium.margin),
     Quantity("contacts", "contacts with walls, base to tip",
-             lambda step: list(step.equilibrium.walls.contacts), of=described(WallForce)),
+             lambda step: list(step.equilibrium.walls.contacts) if step.equilibrium.walls else [],
+             of=described(WallForce)),
 )  # fmt: skip
 
 DEPLOYMENT = described(
