@@ -115,6 +115,25 @@ def test_joints_speed_up_and_brake_straight_to_their_goal(kind: str) -> None:
     assert np.abs(np.diff(turned, 2)).max() <= 30.0 * 1e-6 * (1 + ROUNDING)
 
 
+@pytest.mark.parametrize("kind", ["python", "c"])
+def test_order_is_kept_where_two_carriages_come_to_rest_together(kind: str) -> None:
+    space = joint_space(CRL)
+    start = (
+        [-0.7221811371031275, -0.21967890611963892, 1.8970381766488753],
+        [
+            0.10236712003685536,
+            0.037984955352731054,
+            0.008506021434441208,
+        ],
+    )
+    away = 0.05186569732575018, 0.11620690802376515, 0.047461386442277
+    servo = made(kind, CRL, start, **ACCELERATIONS)
+    joints = joints_of([servo.step(Command(position=away), 4e-3) for _ in range(310)])
+    slack = joints @ space.rows.T - space.row_lower
+    assert slack.min() < 1e-9  # they touch
+    assert slack.min() > -1e-12
+
+
 @pytest.mark.skipif(compiler() is None, reason="no C compiler")
 def test_undone_step_gives_the_speed_back() -> None:
     servo = made("c", THESIS, START, **ACCELERATIONS)

@@ -573,7 +573,7 @@ class Servo:
         """
         portion, scale, last = 1.0, self.space.scale, self._last
         if self._damping:
-            step = np.where(np.abs(step) < DEAD, 0.0, step)  # a joint at its place does not tremble while others move
+            step = self._resting(step)
             portion = min([1.0, *(_fraction(part.max_step, part.rows @ (step * scale)) for part in parts)])
             ends = np.where(step > 0, limits[1], limits[0]) / scale
             portion = min(portion, float(np.divide(ends, step, out=np.ones_like(step), where=step != 0).min()))
@@ -623,6 +623,17 @@ class Servo:
         if Why.HELD in why:
             self._damping = 0.0  # another direction may pass
         return arm, why
+
+    def _resting(self, step: Array) -> Array:
+        """Step (m,), over the scales, that leaves joints at their place which it moves by less than DEAD.
+
+        These do not tremble while others move. The step stays as it is where that would break the order of the tubes,
+        as of two that slide together at about DEAD.
+        """
+        still, rows = np.where(np.abs(step) < DEAD, 0.0, step), self.space.rows * self.space.scale
+        moved, after = rows @ step, rows @ still
+        bounds = np.minimum(self.guard.posture.step_bounds[2 * len(step) :], 0.0)
+        return step if ((after < moved) & (after < bounds)).any() else still
 
     def _adapt(self, trial: _Trial, *, turns_back: bool) -> None:
         """Change the damping, the ease of the objective and the last step after a trial of a step."""

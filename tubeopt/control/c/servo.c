@@ -342,6 +342,20 @@ static double distance_after(const Aim *aim, const double *step, double share) {
     return sum;
 }
 
+/* Leave joints at their place that a step (n) over the scales moves by less than DEAD: they do not tremble while others move. The
+   step stays as it is where that would break the order of the tubes, as of two that slide together at about DEAD. */
+static void rest_of(const double *q, double *step) {
+    double still[JOINTS];
+    for (int k = 0; k < JOINTS; k++) still[k] = fabs(step[k]) < DEAD ? 0 : step[k];
+    for (int r = 0; r < ORDERS; r++) {
+        const double *row = ORDER + r * JOINTS;
+        double moved = 0, after = 0;
+        for (int k = 0; k < JOINTS; k++) moved += row[k] * SCALE[k] * step[k], after += row[k] * SCALE[k] * still[k];
+        if (after < moved && after < fmin(LEAST[r] - dot(row, q, JOINTS), 0)) return;
+    }
+    memcpy(step, still, sizeof still);
+}
+
 /* Take so much of a step (n) over the joints' scale as the guard lets pass and brings the tip closer; returns why it is not all.
    The damping follows the curvature of the distance: what is out of reach is missed by Gauss-Newton steps, each farther. */
 static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command *c, const Bodies *bodies, const double *q, double *step, double floor,
@@ -351,9 +365,9 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
     double share = aim->clipped, size = 0, turned = 0, there[JOINTS], left[6], t[3];
     double asked = fmin(part_allowed(c, aim->missing, 0), part_allowed(c, aim->missing, 1)); /* part of what is missing */
     int guarded = 0, back = 0, far = !m->damping && asked < 1;
+    for (int k = 0; k < JOINTS; k++) step[k] = fmin(fmax(step[k], aim->low[k]), aim->high[k]); /* of rounding */
+    if (m->damping) rest_of(q, step);
     for (int k = 0; k < JOINTS; k++) {
-        step[k] = fmin(fmax(step[k], aim->low[k]), aim->high[k]); /* of rounding */
-        if (m->damping && fabs(step[k]) < DEAD) step[k] = 0; /* what is at its place does not tremble while others move */
         size = fmax(size, fabs(step[k]));
         turned += step[k] * m->last[k];
         m->stiff[k] = !m->damping ? 1 : step[k] * m->last[k] < 0 ? fmin(4 * m->stiff[k], MOST_STIFF) : fmax(1, m->stiff[k] / 1.2);
