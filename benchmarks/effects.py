@@ -37,6 +37,10 @@ class Choice:
     """Effects chosen that are not there."""
     missed: list[str]
     """Effects there that are not chosen."""
+    false_certain: list[str]
+    """Certain effects that are not there."""
+    certain: int
+    """Certain effects."""
     alike: int
     """Folds of five without which the same effects are chosen."""
     told: float
@@ -77,6 +81,8 @@ def chosen(seed: int, rows: int) -> Choice:
         seed,
         sorted(steps - there),
         sorted(there - steps),
+        sorted(set(found.certain) - there),
+        len(found.certain),
         found.alike,
         1e3 * found.chosen_anew.rms,
         1e3 * found.averaged_anew.rms,
@@ -121,7 +127,9 @@ def main() -> None:
         if some
     ]
     columns = ("", "runs", "held out", "mean held out", "new path", "mean, new path", "mean better")
-    note = f"nothing false chosen in {sum(not c.false for c in runs)} of {len(runs)}"
+    clean, sure = (sum(not getattr(c, name) for c in runs) for name in ("false", "false_certain"))
+    count = f"{sum(c.certain for c in runs)} effects certain"
+    note = f"nothing false chosen in {clean} of {len(runs)}; nothing false is certain in {sure}; {count}"
     show([table("median errors, mm", columns, rows)], [note])
 
 

@@ -282,6 +282,7 @@ def _step(step: SelectionStep, length: float) -> dict[str, Any]:
         "certainty": step.certainty,
         "held_out": _summary(step.held_out, length),
         "held_out_axis_deg": None if axis is None else float(np.degrees(axis)),
+        "weight": step.weight,
         "rivals": list(step.rivals),
     }
 
@@ -336,12 +337,13 @@ class EffectsReport(Report[Comparison]):
     def below(self) -> list[RenderableType]:
         """Effects in order of their gain, effects without gain, and the fit."""
         c = self.answer
-        cells = [("as given", *_held_out(c.start, c.start_axis), "", "")]
+        cells = [("as given", *_held_out(c.start, c.start_axis), "", "", "")]
         for word, steps in (("", c.steps), ("does not pay", c.refused)):
             for s in steps:
                 rivals = f"or {' or '.join(s.rivals)}: as good" if s.rivals else word
-                cells.append((s.effect, *_held_out(s.held_out, s.held_out_axis), f"{100 * s.gain:.1f} %", rivals))
-        table = grid(("effect", "held out, RMS >", "direction >", "gain >", ""), cells, key=True)
+                sure = f"{100 * s.gain:.1f} %", f"{s.weight:.2f}"
+                cells.append((s.effect, *_held_out(s.held_out, s.held_out_axis), *sure, rivals))
+        table = grid(("effect", "held out, RMS >", "direction >", "gain >", "weight >", ""), cells, key=True)
         return [table, *(super().below() if c.fit is None else [FitReport(c.fit).table()])]
 
     def save(self, directory: Path) -> list[Path]:

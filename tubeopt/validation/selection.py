@@ -5,7 +5,7 @@ that acts like it, and the best of a dozen that are not there may by chance. So 
 by one: around the fit of a set all others are predicted to first order, for which nothing is solved, and those that
 promise most are fitted, until none is better. A set costs what it loses held out, to first order around its own fit,
 and a charge for each of its parameters. Of effects that act alike those that stand first in the table of effects are
-kept, unless there is very strong evidence for others.
+kept, unless the data speak for others.
 
 All that a least-squares fit needs of the observations are sums over them, kept here block by block: a set of effects is
 fitted to all folds but one and held out in a small linear solve, so that hundreds of sets cost less than one pass
@@ -57,9 +57,9 @@ ROUNDS = 8
 TRIED_SETS = 4
 
 
-# Twice the logarithm of a Bayes factor from which on the evidence against an effect counts: very strong (Kass and
-# Raftery, J. Am. Stat. Assoc. 90 (1995)).
-STRONG_EVIDENCE = 10.0
+# Twice the logarithm of a Bayes factor from which on evidence is worth more than a bare mention (Kass and Raftery,
+# J. Am. Stat. Assoc. 90 (1995)). At 10, "very strong", offsets stand in for curvatures in 11 of 60 robots.
+EVIDENCE = 2.0
 
 
 # A set is fitted if it is no more than so much worse to first order, in twice a log likelihood, which curvature of the
@@ -69,6 +69,10 @@ CROOKED = 30.0
 
 # Fraction of the folds that must agree on the effects.
 SETTLED = 0.8
+
+
+# Weight from which on an effect is certain: sets without it have a quarter of the weight of those with it.
+CERTAIN = 0.8
 
 
 LEAST_WEIGHT = 1e-3
@@ -100,6 +104,8 @@ class SelectionStep:
     """Tip errors with it, m."""
     held_out_axis: float | None
     """Root mean square of the angles, rad, or None."""
+    weight: float
+    """Sum of the weights of the sets of effects that contain it: how sure it is that this effect is there."""
     rivals: tuple[str, ...] = ()
     """Effects that predict as well as this one: the data do not distinguish them."""
 
@@ -137,6 +143,11 @@ class Comparison(Displayed):
     """Sets of effects and their weights, largest first; without those below LEAST_WEIGHT."""
     folds: Annotated[int, "number of held-out blocks"]
     remarks: Annotated[tuple[str, ...], "remarks on the file"]
+
+    @property
+    def certain(self) -> tuple[str, ...]:
+        """Selected effects whose weight is at least CERTAIN."""
+        return tuple(step.effect for step in self.steps if step.weight >= CERTAIN)
 
     @property
     def alike(self) -> int:
@@ -287,7 +298,7 @@ class _Search:
     def _in_place(self, other: str, kind: str) -> _Trial | None:
         """Set with one effect replaced by another; None if the data clearly contradict it."""
         sets, now = self.sets, Effects(self.now.effects)
-        fewer, threshold = now - {kind}, STRONG_EVIDENCE * sets.inflation
+        fewer, threshold = now - {kind}, EVIDENCE * sets.inflation
         changed = fewer | {other}
         if other in now or sets.seen(changed) > sets.seen(now) + threshold + CROOKED * sets.inflation:
             return None
@@ -467,6 +478,7 @@ class _Search:
             certainty=certainty,
             held_out=ErrorSummary.of(along[:, 0]),
             held_out_axis=_rms(axis),
+            weight=sum(weight for weight, kinds in self.sets.weighed() if kind in kinds),
             rivals=self._rivals(kind) if kept else (),
         )
 
