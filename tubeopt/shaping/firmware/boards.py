@@ -404,7 +404,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"{1e3 * battery.internal_resistance:g} mohm and {1e3 * battery.sag_resistance:g} more after "
              f"{battery.sag_time:g} s, {battery.open_circuit[-1][1]:.1f} V when full",
              "as in the rig file: another one needs another plan"),
-        Part("clamps", f"2, {1e3 * clamps.mass:g} g each, {1e4 * clamps.area:g} cm2 in air, of "
+        Part("clamps", f"2, {1e3 * clamps.mass:g} g each with body and lug, {1e4 * clamps.area:g} cm2 in air, of "
              f"{clamps.heat_capacity:g} J/(kg K){metal}; a flexible lead to the sliding one",
              f"as in the rig file; the sliding one {flexible}"),
         Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; pre-arcing I2t of at least "

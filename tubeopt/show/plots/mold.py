@@ -169,7 +169,8 @@ def draw_side(axes: Axes, mold: Mold) -> None:
         box(left, 0.0, grip, axis - JAW, "white")
         axes.text(left + grip / 2, axis + JAW + 1.0, f"{end},\n{'fixed' if end == fixed else 'slides'}", fontsize=5.5,
                   ha="center", va="bottom", linespacing=1.1)  # fmt: skip
-        axes.text(left + grip / 2, 0.5 * (axis - JAW), "support", fontsize=4.5, ha="center", va="center", zorder=3)
+        axes.text(left + grip / 2, 0.5 * (axis - JAW), f"support\n{axis - JAW:.1f}", fontsize=4.5, ha="center",
+                  va="center", zorder=3, linespacing=1.1)  # fmt: skip
         face = left + grip if end == "proximal" else left
         axes.text(face + (gap / 2 if end == "proximal" else -gap / 2), -1.0, f"{gap:.1f}", fontsize=5.5, ha="center",
                   va="top")  # fmt: skip
@@ -197,9 +198,9 @@ def draw_side(axes: Axes, mold: Mold) -> None:
         disk(axes, np.array([x, y]), 0.85 * scale * bore / 2, fc=FAINT, ec=INK, lw=0.4, zorder=5)
     for side in (-5.0, 5.0):
         axes.plot([x + side] * 2, [y - JAW - 1, y + JAW + 1], color=INK, lw=0.9, ls=(0, (4, 1.5, 1, 1.5)), zorder=4)
-    axes.text(x - 9.0, y, "jaws seen from\nthe mold, tube\nenlarged", fontsize=5.5, ha="right", va="center",
-              linespacing=1.1)  # fmt: skip
-    axes.text(x + 9.0, y, "half-round,\ncore wire in\nthe bore", fontsize=5.5, ha="left", va="center",
+    axes.text(x - 9.0, y, f"jaws seen from\nthe mold, {JAW:g} high\neach; tube enlarged", fontsize=5.5, ha="right",
+              va="center", linespacing=1.1)  # fmt: skip
+    axes.text(x + 9.0, y, "half-round, core\nwire in the bore,\ntwo M4 screws", fontsize=5.5, ha="left", va="center",
               linespacing=1.1)  # fmt: skip
     axes.plot([outer, inner + 6.0], [0.0, 0.0], color=INK, lw=0.9)
     axes.set(xlim=(outer - 1, inner + 9), ylim=(y - JAW - 3, axis + max(lid, JAW) + 8.0), aspect="equal")

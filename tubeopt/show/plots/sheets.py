@@ -628,7 +628,7 @@ def _jaws_text(mold: Mold) -> str:
     return (
         f"Jaws: two halves with a half-round groove of {diameter * TO_MM:g} mm; flat jaws crush the tube. Its axis is "
         f"{axis_height(mold) * TO_MM:.2f} mm above the lower face of the base. Supports insulate: the mold's board. "
-        f"Press by at most {force:.0f} N (one M4 screw for it: {0.2 * force * 4e-3:.1g} N m, 0.2 F d). That is "
+        f"Press by at most {force:.0f} N (two M4 screws: {0.1 * force * 4e-3:.2g} N m each, 0.2 F d). That is "
         f"{pressure / 1e6:.0f} MPa on the tube, {CRUSHING / 1e6:.0f} MPa in its wall.{core}{through}"
     )
 
