@@ -148,7 +148,8 @@ def draw_side(axes: Axes, mold: Mold) -> None:
 
     groove, spec = mold.grooves[0], mold.spec
     base, lid, grip = (x * TO_MM for x in (spec.plate.thickness, spec.plate.lid_thickness, groove.grip))
-    axis, diameter = axis_height(mold) * TO_MM, groove.tube.outer_diameter * TO_MM
+    under = strips(mold)
+    axis, diameter = under + axis_height(mold) * TO_MM, groove.tube.outer_diameter * TO_MM
     behind, colour = behind_clamp(groove) * TO_MM, tube_colour(groove.number - 1)
     near, far = (gap * TO_MM for gap in groove.gaps)
     fixed = "proximal" if spec.clamps.sliding_end == "distal" else "distal"
@@ -160,8 +161,11 @@ def draw_side(axes: Axes, mold: Mold) -> None:
         arrow(axes, (x, low), (x, high), INK, width=0.6)
         axes.text(x + 0.8, 0.5 * (low + high), text, fontsize=5.5, va="center", ha="left")
 
-    box(0.0, 0.0, BROKEN_LENGTH, base, PLATE)
-    box(0.0, base, BROKEN_LENGTH, lid, PLATE)
+    for x in (0.0, BROKEN_LENGTH - 5.0):
+        box(x, 0.0, 5.0, under, "white")
+    box(0.0, under, BROKEN_LENGTH, base, PLATE)
+    box(0.0, under + base, BROKEN_LENGTH, lid, PLATE)
+    axes.text(0.5 * BROKEN_LENGTH + 2.5, 0.5 * under, f"strips {under:g}", fontsize=4.5, ha="center", va="center")
     ends = (-near - grip, "proximal", near), (BROKEN_LENGTH + far, "distal", far)
     for left, end, gap in ends:
         box(left, axis, grip, JAW, CLAMP)
@@ -186,8 +190,8 @@ def draw_side(axes: Axes, mold: Mold) -> None:
     arrow(axes, (at + way * 2.5, axis - JAW / 2), (at + way * 8.0, axis - JAW / 2), INK, width=0.8)
     axes.text(at + way * 5.0, axis - JAW / 2 - 1.0, f"{travel:.1f}", fontsize=5.5, ha="center", va="top")
     measure(0.4 * BROKEN_LENGTH, 0.0, axis, f"axis {axis:.2f}")
-    axes.text(1.0, base + 0.5 * lid, "lid", fontsize=5.5, va="center")
-    axes.text(1.0, 0.5 * base, "base", fontsize=5.5, va="center")
+    axes.text(1.0, under + base + 0.5 * lid, "lid", fontsize=5.5, va="center")
+    axes.text(1.0, under + 0.5 * base, "base", fontsize=5.5, va="center")
     # One clamp from its face: half-round jaws around tube and core wire, the tube enlarged.
     x, y, scale = 0.5 * BROKEN_LENGTH, -17.0, 2.5
     box(x - 7.5, y, 15.0, JAW, CLAMP)
@@ -205,6 +209,11 @@ def draw_side(axes: Axes, mold: Mold) -> None:
     axes.plot([outer, inner + 6.0], [0.0, 0.0], color=INK, lw=0.9)
     axes.set(xlim=(outer - 1, inner + 9), ylim=(y - JAW - 3, axis + max(lid, JAW) + 8.0), aspect="equal")
     axes.set_axis_off()
+
+
+def strips(mold: Mold) -> float:
+    """Height of the strips under the base, mm: heads of bolts (0.7 diameters, ISO 4017) and washers have room."""
+    return math.ceil(mold.spec.plate.bolt_diameter * TO_MM)
 
 
 def axis_height(mold: Mold) -> float:

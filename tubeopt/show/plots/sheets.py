@@ -13,7 +13,7 @@ from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...shaping.firmware.boards import Part, cable_of, fuse_of, root_mean_square
 from ...shaping.firmware.sketch_files import CHARGES
-from ...shaping.heating.controller import wilson
+from ...shaping.heating.controller import MOST_EXCESS, wilson
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import AGEING_DEGC, LEFT, SHORTEST_AGEING, HeatingPlan, LeftInMold, left_in_mold
 from ...shaping.heating.sensors import Thermocouple
@@ -55,6 +55,7 @@ from .mold import (
     extent,
     mold_heading,
     radius_text,
+    strips,
 )
 from .style import INK, Figure, new_figure, picture
 
@@ -399,7 +400,7 @@ def hole_notes(mold: Mold, part: str) -> list[str]:
         )
     pilots = [hole for hole in placed_holes(mold, part) if drill_diameter(hole) > PILOTED]
     if pilots:
-        notes.append(f"Holes above {PILOTED * TO_MM:g} mm: pilot them by the next smaller drill of the table.")
+        notes.append(f"Holes above {PILOTED * TO_MM:g} mm: the program of the next smaller drill pilots them.")
     return notes
 
 
@@ -477,7 +478,7 @@ def tool_rows(mold: Mold) -> list[tuple[str, ...]]:
     return rows
 
 
-TOOL_HEADING = ("program", "tool", "rpm", "m/min", "mm/min", "plunge", "step", "depth", "flutes", "min")
+TOOL_HEADING = ("program", "tool", "rpm", "m/min", "mm/min", "plunge", "step", "depth", "reach", "min")
 """Heading of the table of tools: cutting speed in m/min, feeds in mm/min, largest step, depth and least cutting length
 in mm.
 """
@@ -627,7 +628,8 @@ def _jaws_text(mold: Mold) -> str:
     )
     return (
         f"Jaws: two halves with a half-round groove of {diameter * TO_MM:g} mm; flat jaws crush the tube. Its axis is "
-        f"{axis_height(mold) * TO_MM:.2f} mm above the lower face of the base. Supports insulate: the mold's board. "
+        f"{axis_height(mold) * TO_MM:.2f} mm above the lower face of the base. The base lies on strips of "
+        f"{strips(mold):g} mm, clear of the bolts' heads. Supports insulate: the mold's board. "
         f"Press by at most {force:.0f} N (two M4 screws: {0.1 * force * 4e-3:.2g} N m each, 0.2 F d). That is "
         f"{pressure / 1e6:.0f} MPa on the tube, {CRUSHING / 1e6:.0f} MPa in its wall.{core}{through}"
     )
@@ -694,7 +696,7 @@ def _fasteners(mold: Mold) -> str:
         bolts, pin = sum(hole.purpose == "bolt" for hole in mold.holes), plate.dowel_diameter * TO_MM
         length = max((each for each in PIN_LENGTHS if each <= grip * TO_MM), default=PIN_LENGTHS[0])
         return (
-            f"{bolts} bolts {bolt} with nuts, holes {plate.bolt_diameter * TO_MM:g} mm; "
+            f"{bolts} bolts {bolt}, nuts on top, holes {plate.bolt_diameter * TO_MM:g} mm; "
             "flat washers (ISO 7089) under head and nut, "
             f"{torque_text(plate.bolt_diameter, mold.spec.material)}. 2 dowels {pin:g} m6 × "
             f"{length}: drilled {pin - REAMED * TO_MM:g} mm, reamed {pin:g} {DOWEL_FITS['base']} in the base (pins "
@@ -1116,7 +1118,8 @@ def safety(plan: HeatingPlan) -> list[str]:
         "Main switch off before a hand touches clamps or mold. Quench with tongs in hand; water spits.",
         "No sensor leads this heating: without a thermometer a miss stays unseen."
         if plan.feedback is None
-        else f"The board stops by itself at a reading of {plan.feedback.law.ceiling:.0f} °C.",
+        else f"The board stops by itself at a reading of {plan.feedback.law.ceiling:.0f} °C: the hottest point, which "
+        f"is beside the junction, is then at most at {plan.spec.limit + MOST_EXCESS:.0f} °C, with the sensor's error.",
         *_silent(plan),
         "Above the limit, or where the tube does not follow the time line: stop.",
         "After a stop or a miss: main switch off, let the tube cool in the mold; do not use it. Find the cause first, "
