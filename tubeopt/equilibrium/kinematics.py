@@ -215,7 +215,8 @@ def forward_kinematics(  # noqa: PLR0913
     guess = None if start is None else _start_of(robot, start, tolerance)
     if not robot.fixed_sections and (solver.name != "newton" or discretisation != DEFAULT_DISCRETISATION):
         raise InputError("kind is bundle; its equilibria have the method newton and the default mesh")
-    if not robot.fixed_sections or len(robot.moving_together) < robot.n_tubes:
+    # At home all robots are admissible.
+    if translations is not None and (not robot.fixed_sections or len(robot.moving_together) < robot.n_tubes):
         _check_carriages(robot, translation)
     request = SolveRequest(solver, tolerance, start_time)
     if load is not None:
@@ -378,9 +379,11 @@ def _by_kernel(
 
 def small_motion(start: Equilibrium, rotations: Array, translations: Array) -> bool:
     """True for motions from `start` after which Newton's method stays on the branch."""
-    changes = rotations - start.rotations, translations - start.translations
-    largest_turn, largest_shift = (max(map(abs, change.tolist())) for change in changes)
-    return bool(largest_turn <= LARGEST_TURN and largest_shift <= LARGEST_SHIFT * reference_length(start))
+    turns = (rotations - start.rotations).tolist()
+    if max(max(turns), -min(turns)) > LARGEST_TURN:
+        return False
+    shift = (translations - start.translations).tolist()
+    return max(max(shift), -min(shift)) <= LARGEST_SHIFT * reference_length(start)
 
 
 @lru_cache(maxsize=64)

@@ -553,9 +553,8 @@ def by_model(function: Question) -> Question:
     def asked(*args: Any, **kwargs: Any) -> Any:
         """Ask the robot, or its bundle."""
         robot = args[0] if args else kwargs.get("robot")
-        if isinstance(robot, SheathedRobot) and (
-            not keywords or any(kwargs.get(name) is not None for name in keywords)
-        ):
+        loaded = not keywords or (kwargs and any(kwargs.get(name) is not None for name in keywords))
+        if loaded and isinstance(robot, SheathedRobot):
             modelled = robot.modelled(loaded=True)
 
             def of_model(value: Any) -> Any:
