@@ -352,7 +352,7 @@ def coil_zener(transistor: float, charged: float) -> float:
 def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     """Parts between battery and tube, rated for the plan's currents and a shorted switch, and those of the board."""
     rig, safety = plan.rig, cut_out(plan)
-    short = rig.battery.open_circuit[-1][1] / rig.battery.internal_resistance
+    short = CHARGED * rig.battery.open_circuit[-1][1] / rig.battery.internal_resistance
     rms, peak, rest, circuit = root_mean_square(plan), safety.current, rig.battery.voltage, rig.circuit
     fuse, cable = fuse_of(plan), cable_of(plan)
     # In parallel each has a part of the current, so that all together warm by less.
@@ -408,8 +408,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"{clamps.heat_capacity:g} J/(kg K){metal}; a flexible lead to the sliding one",
              f"as in the rig file; the sliding one {flexible}"),
         Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; pre-arcing I2t of at least "
-             f"{safety.least_melting:.0f} A2s, or pulses of {peak:.0f} A age it; breaks {short / 1e3:.2g} kA at "
-             f"{math.ceil(charged)} V DC",
+             f"{math.ceil(safety.least_melting)} A2s, or pulses of {peak:.0f} A age it; breaks "
+             f"{math.ceil(short / 1e3)} kA at {math.ceil(charged)} V DC",
              f"{current}; backs up the cut-out: {safety.withstood:.0f} A2s ({1e3 * safety.budget:.0f} ms of a short) "
              "take the tube to 650 degC"),
         Part("main switch", f"battery isolator, lockable, {rated} A DC, behind the fuse",
@@ -442,7 +442,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("thermal cut-out", f"normally closed, {clamp} degC{', with a capillary' if clamp > MOST_BIMETAL else ''}, "
              "on the fixed clamp, in the supply of the cut-out",
              f"clamps reach {plan.clamp_temperature.max():.0f} degC"),
-        Part("emergency stop", "normally closed, in the supply of the cut-out, second contact to the board",
+        Part("emergency stop", "normally closed, in the supply of the cut-out; second contact normally closed, from "
+             f"{board.pin('stop')} to ground: open is a stop",
              "stops without the board too"),
         Part("cable", f"{cable:g} mm2 copper, as short as can be; crimped and bolted lugs, no plugs", current),
         Part("thin wires", f"{THIN[1]:g} mm2 behind the control fuse, {THIN[0]:g} mm2 to the pins, twisted with "
@@ -455,7 +456,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"cables of {1e6 * LOOP_INDUCTANCE:g} uH store {digits(1e3 * avalanche)} mJ a pulse: "
              f"{digits(avalanche * circuit.pwm_frequency)} W on average"
              + (f", more than {TVS_HEAT:g} W: slower pulses, or a supply of less voltage" if overheats else "")),
-        Part("gate driver", f"2 A or more, inputs for {reference:g} V logic; 10 ohm to the gate, 10 kohm from gate to "
+        Part("gate driver", f"2 A or more, inputs for {reference:g} V logic, 10 kohm from input to ground; "
+             "10 ohm to the gate, 10 kohm from gate to "
              "source, 1 uF at its supply",
              "without signal the switch must stay off"),
         Part("diode", f"Schottky, {voltage} V, {math.ceil(peak / 10) * 10} A of pulse, across the tube",

@@ -468,7 +468,7 @@ def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
         )
         remarks.append("the straight ends lie in air, which cools less than a mold: cold ends may be longer")
     else:
-        remarks.append("print it from a material for the set temperature: ceramic, or insulated metal")
+        remarks.append("print it from a material for the set temperature: ceramic or metal")
     return [*remarks, *stiffness_remarks(tube), *mold_remarks(tube.material, spec.heat.set_temperature)]
 
 

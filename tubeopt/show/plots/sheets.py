@@ -628,10 +628,11 @@ def _jaws_text(mold: Mold) -> str:
     )
     return (
         f"Jaws: two halves with a half-round groove of {diameter * TO_MM:g} mm; flat jaws crush the tube. Its axis is "
-        f"{axis_height(mold) * TO_MM:.2f} mm above the lower face of the base. The base lies on strips of "
+        f"{axis_height(mold) * TO_MM:.2f} mm above the lower face of the base, and as much more as the plate is "
+        f"thicker than {mold.spec.plate.thickness * TO_MM:g}. The base lies on strips of "
         f"{strips(mold):g} mm, clear of the bolts' heads. Supports insulate: the mold's board. "
-        f"Press by at most {force:.0f} N (two M4 screws: {0.1 * force * 4e-3:.2g} N m each, 0.2 F d). That is "
-        f"{pressure / 1e6:.0f} MPa on the tube, {CRUSHING / 1e6:.0f} MPa in its wall.{core}{through}"
+        f"Press by at most {force:.0f} N (two M4 screws: {math.floor(10 * force * 4e-3) / 100:g} N m each, 0.2 F d). "
+        f"That is {pressure / 1e6:.0f} MPa on the tube, {CRUSHING / 1e6:.0f} MPa in its wall.{core}{through}"
     )
 
 
@@ -805,8 +806,9 @@ def mandrel_steps(mandrel: Mandrel) -> list[str]:
         f"Cut the tube and mark the bend. Wind it into the groove, marks on the ends of the bend; fix it by {fixing}, "
         "and clamp one end only: the other must be free to grow.",
         f"Set it in a furnace, mandrel and all: the tube at {heat.set_temperature - ZERO_CELSIUS:.0f} ± "
-        f"{heat.tolerance:.0f} °C for {heat.hold_time:g} s, counted from when a thermocouple on the tube is "
-        f"there. {mandrel_cooling(mandrel)}. No heating by current is planned: the heat that a mandrel takes off a "
+        f"{heat.tolerance:.0f} °C for {heat.hold_time:g} s, counted from when a thermocouple on the deepest part of "
+        "the tube is there. It warms with the mandrel, for many minutes, and ages while it warms. "
+        f"{mandrel_cooling(mandrel)}. No heating by current is planned: the heat that a mandrel takes off a "
         "tube is not known.",
         "Trim the ends. Measure the tube; `tubeopt mold mandrel` prints the expected tube.",
     ]
@@ -1046,7 +1048,8 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
         voltage += "With another voltage take its own schedule (heating/schedule_..V), not this one."
     else:
         emptiest = plan.rig.with_charge(CHARGES[-1]).battery.voltage
-        voltage += f"Down to {emptiest:.2f} V the board takes the schedule of the voltage that it measures."
+        voltage += f"Down to {emptiest:.2f} V the board takes the schedule of the voltage that it measures. Above: let "
+        voltage += "it rest. Below: charge it."
     thermometer = [
         "Thermocouple: junction on the middle of the bend (set-up sheet), above 1 Mohm to the tube. The board reads "
         "room temperature; warm the junction: the reading must rise, or its legs are swapped."
@@ -1056,6 +1059,7 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
         f"Tube in its groove, {plan.rig.clamps.grip * TO_MM:g} mm of it in each clamp; the {fixed} clamp is fixed, the "
         f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.{live}",
         *(thermometer if sensed else ()),
+        f"Fuse of this tube: {fuse_of(plan)} A; that of another tube does not protect it.",
         voltage,
         f"Polarity: battery plus, fuse, main switch, cut-out, current sensor, {fixed} clamp; "
         f"{spec.clamps.sliding_end} clamp, MOSFET (drain), its "
@@ -1078,7 +1082,7 @@ def running(fabrication: TubeFabrication) -> list[str]:
         ]
     law = plan.feedback.law
     return [
-        "Wire as firmware/wiring.png; parts.pdf has the parts for all tubes of a robot, with the fuse of each. "
+        "Wire as firmware/wiring.png, with the ratings of parts.pdf: they serve all tubes of a robot. "
         "Load firmware/tube_heater onto the board: each tube has its own.",
         f"Every day, main switch on, tube in the clamps: `tubeopt heat run {port} --test-cutout` pulses it. Pass: the "
         f'reply "cut-out: opened after .. ms", at most {1e3 * cut_out(plan).budget:.0f} ms. Then the same with `--dry` '
@@ -1108,8 +1112,8 @@ def safety(plan: HeatingPlan) -> list[str]:
     cut, limit = cut_out(plan), plan.rig.circuit.current_limit
     return [
         f"{plan.peak_current:.0f} A flow while on: no rings or watches, tools with insulated handles, a fuse at the "
-        f"battery's plus, the stop button within reach. On average {plan.mean_current:.1f} A flow, of {limit:g} A "
-        "allowed.",
+        f"battery's plus, the stop button within reach. On average at most {plan.mean_current:.1f} A flow; the "
+        f"rig file allows {limit:g} A (current_limit_A).",
         f"The tube is at {plan.hottest:.0f} °C; clamps reach {plan.clamp_temperature.max():.0f} °C, the groove "
         f"{plan.mold_temperature.max():.0f} °C: wear gloves and goggles, and keep it away from anything that burns.",
         f"Shorted switch: the cut-out must open within {1e3 * cut.budget:.0f} ms, or the tube passes 650 °C. With "
@@ -1121,7 +1125,10 @@ def safety(plan: HeatingPlan) -> list[str]:
         else f"The board stops by itself at a reading of {plan.feedback.law.ceiling:.0f} °C: the hottest point, which "
         f"is beside the junction, is then at most at {plan.spec.limit + MOST_EXCESS:.0f} °C, with the sensor's error.",
         *_silent(plan),
-        "Above the limit, or where the tube does not follow the time line: stop.",
+        "Above the limit, or where the tube does not follow the time line: stop."
+        if plan.feedback is None
+        else "The board compares its corrected reading with the schedule: it waits where the tube lags, and stops by "
+        "itself. Stop by hand what smokes, sparks or moves.",
         "After a stop or a miss: main switch off, let the tube cool in the mold; do not use it. Find the cause first, "
         "or calibrate by the log (`tubeopt heat calibrate`); then heat a new tube.",
         # Said above with its interval.
