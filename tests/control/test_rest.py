@@ -289,6 +289,13 @@ def test_robot_stays_where_no_scout_comes_closer(kind: str) -> None:
     assert np.array_equal(servo.step(Command(position=KINK[1], closest=True), 4e-3).rotations, last.rotations)
 
 
+def test_search_ends_where_the_robot_returns_to_its_rest() -> None:
+    """Scouts find poses 20 um closer whose margin is in the room above the floor, which the robot leaves again."""
+    servo = made("c", TWO_TUBES, ([-0.497, 2.231], [0.0303, 0.0303]), speed=0.2, shift_rate=0.2, **ACCELERATIONS)
+    seeks = [Why.SEEKING in step.why for step in led_to_closest(servo, (0.0004, 0.0084, 0.1236), 2e-2)[0]]
+    assert sum(np.diff(np.array(seeks, dtype=int)) == 1) == 2
+
+
 @pytest.mark.usefixtures("one_trial")
 @pytest.mark.parametrize("kind", ["python", "c"])
 def test_new_target_ends_the_search(kind: str) -> None:

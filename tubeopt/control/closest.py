@@ -2,7 +2,8 @@
 
 While the robot rests, a second servo, the scout, goes from there straight to joint values spread over the ranges, as
 far as the guard lets it, and descends to the target. The robot then follows the path of the scout that came closest.
-This is repeated until no scout comes closer. The scout takes few steps in each step of the robot, so their time is
+This is repeated until no scout comes closer, or until the robot rests where it did before: it returns from a pose
+closer to the floor of the margin. The scout takes few steps in each step of the robot, so their time is
 bounded.
 The C library has the same search (`control/c/seek.c`).
 """
@@ -103,7 +104,7 @@ class ClosestSearch:
         self._command: Command | None = None
         self._stage = Stage.TOWARDS
         self._round = self._trial = self._steps = self._still = 0
-        self._best = self._before = np.inf
+        self._best = self._before = self._rested = np.inf
         self._rest = self._servo.equilibrium
         self._path: list[Array] = []
         """Places (m,) of the scout."""
@@ -148,9 +149,15 @@ class ClosestSearch:
         return Command()
 
     def _begin(self, command: Command) -> None:
-        """Start a search from the place of rest."""
-        self._rest, self._trial, self._best_path = self._servo.equilibrium, 0, []
-        self._best = self._miss(command, self._rest)
+        """Start a search from the place of rest, or end it where the last one began there."""
+        rest, last = self._servo.equilibrium, self._rest
+        miss = self._miss(command, rest)
+        near = self._moved(self._joints(rest), self._joints(last)) < SPACED
+        if self._round and near and miss > self._rested - MUCH_CLOSER:
+            self._round = ROUNDS
+            return
+        self._rest, self._trial, self._best_path = rest, 0, []
+        self._best = self._rested = miss
         o = self._options
         options = replace(
             o,

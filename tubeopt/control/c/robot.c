@@ -41,8 +41,9 @@ typedef struct {
 typedef struct {
     enum { TOWARDS, OUT, DOWN, STRAIGHT, ALONG } stage; /* robot towards the target; scout; robot along the best way */
     double position[3], direction[3], best, before;     /* target, smallest miss, and that of a descent some steps before */
+    double rested;                                      /* miss at the rest from which scouts went last */
     int round, trial, steps, still, count, best_count, at;
-    tubeopt_joints start, way[MOST_WAY], best_way[MOST_WAY];
+    tubeopt_joints start, rest, way[MOST_WAY], best_way[MOST_WAY];
 } Seeker;
 
 struct tubeopt_memory {

@@ -4,7 +4,7 @@
 /* A servo only comes closer, so it rests at a local minimum of the distance. There a scout, which has memory of its own, goes
    straight to one of the STARTS, as far as the guard lets it, and from there descends to the target; and so on from the place of
    rest. The robot then goes the way of the scout that came closest: the guard has let it pass. That is repeated until no scout
-   comes closer. Steps of a scout are as long as Newton's method allows, and take no time. */
+   comes closer, or until the robot rests where it did before: it returns from a pose closer to the floor of the margin. Steps of a scout are as long as Newton's method allows, and take no time. */
 
 #define ROUNDS 4       /* searches for one target at most */
 #define OUTWARD 100    /* steps of a scout to its start at most: half a turn takes 11, the length of the longest tube 20 */
@@ -151,9 +151,15 @@ static tubeopt_status servo_closest(tubeopt_memory *m, const tubeopt_command *c,
         if (s->at == s->best_count || s->still == STILL) s->stage = TOWARDS, s->still = 0;
     } else if (s->stage == TOWARDS) {
         if (s->still == STILL && s->round < ROUNDS) {
-            s->best = miss_of(m, c);
-            s->trial = s->best_count = 0;
-            send_scout(m, s);
+            double miss = miss_of(m, c);
+            if (s->round && miss > s->rested - MUCH_CLOSER && change_of(&m->joints, &s->rest) < SPACED)
+                s->round = ROUNDS;
+            else {
+                s->best = s->rested = miss;
+                s->rest = m->joints;
+                s->trial = s->best_count = 0;
+                send_scout(m, s);
+            }
         }
     } else
         for (int k = 0; k < c->closest && k < MOST_SOLVES && s->stage != ALONG && s->stage != TOWARDS; k++) scout_step(m, c, s);
