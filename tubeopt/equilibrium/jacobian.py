@@ -81,7 +81,8 @@ def compiled_slopes(
         return None
     sides = sides or (1,) * at.robot.n_tubes
     moved = Moved(sides, at.robot.moving_together if carriages is None else carriages)
-    return slopes_compiled(at.robot, at.rotations, at.translations, _start_at(at), moved, **request)
+    refinement = discretisation_of(at).refinement
+    return slopes_compiled(at.robot, at.rotations, at.translations, _start_at(at), moved, refinement, **request)
 
 
 def _start_at(at: Equilibrium) -> Start:

@@ -352,12 +352,13 @@ class Slopes(NamedTuple):
     """
 
 
-def slopes_compiled(
+def slopes_compiled(  # noqa: PLR0913
     robot: Robot,
     rotations: Array,
     translations: Array,
     start: Start,
     moved: Moved,
+    refinement: int,
     *,
     compliance: bool = False,
     either: bool = True,
@@ -370,11 +371,12 @@ def slopes_compiled(
     Args:
         moved: directions of translations, which decide where breakpoints coincide; ends of tubes move in the first
             one.
+        refinement: halvings of the mesh.
         compliance: also compute the compliance of the tip.
         either: for a margin of two modes, return the derivative by either of them; False returns NaN.
         dimensions: also compute the derivatives by dimensions of tubes that each have one curvature.
     """
-    prepared = with_kernel(robot, 0)
+    prepared = with_kernel(robot, refinement)
     if prepared is None:
         return None
     kernel, n = prepared.kernel, robot.n_tubes
