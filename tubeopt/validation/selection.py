@@ -135,7 +135,7 @@ class Comparison(Displayed):
     averaged: Robot
     """Robot with the means of all numbers over the sets of effects, by their weights, to first order around the fit.
 
-    Without a posterior. Where folds choose different effects, its mean predicts at least as well as one of them.
+    Without a posterior. See `benchmarks.effects` for what it gains.
     """
     averaged_anew: ErrorSummary
     """Held-out tip errors of such means, weighted and fitted without each fold, m."""
