@@ -323,6 +323,10 @@ PATIENCE = 8
 # Fraction of the asked decrease of the distance below which the next step is damped, and solves for the whole distance.
 SLOW = 0.01
 
+# Motions of the target in a cycle below which its distance is that of tracking it. Where breakpoints meet, a step may
+# miss by that much: damping would let the target run away.
+TRACKED = 3.0
+
 # Length of a step over the scales below which the curvature of the distance drowns in round-off.
 SEEN = 1e-6
 
@@ -434,6 +438,8 @@ class Servo:
         """True if steps keep the order of breakpoints, and if one of them was taken."""
         self._first_order = 0
         """Number of the first row of the order of breakpoints."""
+        self._tracked = 0.0
+        """Distance (m) from a target below which the robot tracks it: it moves about as far in each cycle."""
         self._ease = 1.0
         """Part of the push of the objective: it halves where the push goes back and forth."""
         self._goal: Array | None = None
@@ -534,7 +540,10 @@ class Servo:
     def _note_target(self, command: Command, dt: float) -> None:
         """Reset the damping if the target jumps."""
         last, self._goal = self._goal, command.position
-        if last is None or self._goal is None or dist(last, self._goal) > 2 * self.options.speed * dt:
+        moved = np.inf if last is None or self._goal is None else dist(last, self._goal)
+        another = moved > 2 * self.options.speed * dt
+        self._tracked = 0.0 if another else TRACKED * moved
+        if another:
             self._damping, self._damped, self._patience = 0.0, 0, PATIENCE
             self._ordered = False
 
@@ -597,6 +606,7 @@ class Servo:
             return self.guard.go(0 * step, why & ~Why.RATE, dt)
 
         trials: list[_Trial] = []
+        tracks = before < (self._tracked / self.space.length) ** 2
 
         def closer(posture: Posture, part_of: float) -> bool:
             made = portion * part_of * step
@@ -604,7 +614,7 @@ class Servo:
             after = sum(_square(self._error(part.name, part.target, posture)) for part in with_error)
             square = float(made @ made)
             seen = square > SEEN**2
-            descends = model >= before or before < DEAD**2 or before - after >= DESCENT * (before - model)
+            descends = tracks or model >= before or before < DEAD**2 or before - after >= DESCENT * (before - model)
             trials.append(
                 _Trial(
                     made=np.where(step == 0, last, made),

@@ -12,6 +12,7 @@
 #define BRAKINGS 5 /* times, as fractions of the braking time, at which the margin is checked */
 #define MOST_CURVED 4. /* curvature of a distance over the scales: kinks, where breakpoints coincide, look larger */
 #define MOST_STIFF 1e6
+#define TRACKED 3. /* motions of the target in a cycle below which its distance is that of tracking it, without damping */
 #define SEEN 1e-6  /* of a joint's scale: of a shorter whole step the curvature drowns in round-off */
 #define SLOW 0.01  /* part of the decrease that is asked for, below which the next step solves for the whole distance */
 #define DEAD 1e-7  /* of a joint's scale: a joint with a shorter whole step rests */
@@ -22,6 +23,7 @@ static const double BRAKING[BRAKINGS + 1] = {0, 0.13, 0.3, 0.5, 0.75, 1};
 
 typedef struct {
     double task[6][JOINTS], missing[6], clipped; /* by independent joints over their scale; part of a step's speed */
+    double tracked; /* distance from the target, over the longest tube, below which the robot tracks it */
     double margin[JOINTS], rate[JOINTS], low[JOINTS], high[JOINTS];
     double near[2][JOINTS]; /* ends of a step within rates, over the scale */
     int rows, why;
@@ -391,7 +393,7 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
         ends = share * share * dot(step, step, JOINTS);
         int seen = ends > SEEN * SEEN;
         curved = seen ? fmin((after - model) / ends, MOST_CURVED) : 0;
-        int closer = model >= before || before < DEAD * DEAD || before - after >= DESCENT * (before - model);
+        int closer = before < aim->tracked * aim->tracked || model >= before || before < DEAD * DEAD || before - after >= DESCENT * (before - model);
         int slow = far && !(aim->why & TUBEOPT_AT_RATE) && before - after < SLOW * asked * before;
         if (!closer || back || slow || (m->damping && curved > m->damping)) m->damping = fmax(fmax(curved, fmin(4 * m->damping * (!closer || back), MOST_CURVED)), DAMPING * DAMPING);
         else if (m->damping && share == 1 && seen) m->damping = m->damping > 2 * DAMPING * DAMPING ? fmax(curved, m->damping / 2) : 0;
@@ -462,7 +464,9 @@ static tubeopt_status servo_step(tubeopt_memory *m, tubeopt_memory *robot, const
     if (!goal) aim_at(m, c, &aim);
     report_missing(m, c, report);
     for (int r = 0; r < 3; r++) moved += (c->position[r] - m->goal[r]) * (c->position[r] - m->goal[r]);
-    if (led(c) || sqrt(moved) > 2 * c->speed * c->step) { /* another target */
+    int another = led(c) || sqrt(moved) > 2 * c->speed * c->step;
+    aim.tracked = another || goal ? 0 : TRACKED * sqrt(moved) / LONGEST_TUBE;
+    if (another) {
         m->damping = m->damped = 0;
         m->patience = PATIENCE;
         m->ordered = 0;
