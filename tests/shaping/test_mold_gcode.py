@@ -96,6 +96,8 @@ def test_the_table_of_holes_says_what_the_programs_drill(hinged: bool, tmp_path:
         assert [row[0] for row in rows] == [str(k) for k in range(1, len(rows) + 1)]
         told = {}
         for _, x, y, diameter, fit, z, tool in rows:
+            if tool == "latch, end mill 4":
+                continue
             drill = float(re.findall(r"drill ([\d.]+)", tool)[0])
             told[float(x), float(y), drill] = float(z)
             if tool.startswith("dowel"):
@@ -106,8 +108,7 @@ def test_the_table_of_holes_says_what_the_programs_drill(hinged: bool, tmp_path:
         for place, z in told.items():
             (depth,) = [z for other, z in drilled.items() if np.allclose(other, place, rtol=0, atol=0.0051)]
             assert z == pytest.approx(depth, abs=0.051)
-        # Besides them pilots of wider holes.
-        assert len(drilled) == len(told) + sum(drill > 8 for _, _, drill in told)
+        assert len(drilled) == len(told)
         plot_hole_sheet(mold, tmp_path / f"{part}.pdf", part=part)
     assert_sheets_tell_slot_and_zero(mold, hinged=hinged)
     (heading, first, arc, last) = path_rows(mold, "base")

@@ -188,7 +188,7 @@ def test_the_hinged_lid_is_cut_off_its_strip(tmp_path: Path, cut_out: bool) -> N
     level = [m.piece for m in last.motions if m.end < -6.35e-3 and abs(m.piece.start[1] - mold.hinge.pin) < 1e-9]
     assert sum(piece.length for piece in level) > 0.8 * mold.size[0]
     assert "hinged" not in "".join(program.text for program in programs(mold, "base"))
-    assert len(stages_of(mold, "lid")) == 5
+    assert len(stages_of(mold, "lid")) == 4
     outlines = draw_plate(mold, "lid").pieces["OUTLINE"]
     assert len(outlines) == 8
     names = {path.name for path in write_mold(mold, tmp_path)}
@@ -203,21 +203,36 @@ def test_the_hinged_lid_is_cut_off_its_strip(tmp_path: Path, cut_out: bool) -> N
     assert "half a turn of each nut" in steps
     # Base, lid, leaf, washers and nut of an M3: 12.7 + 6.35 + 1 + 5.1 mm. A head is twice as wide as its hole.
     assert "4 screws M3 × 30 through strip and base, countersunk 90° to 6.4, 1.6 deep" in steps
-    # The holes of the latches, of 11 mm, are drilled by 3.2 mm first.
-    stages = {stage.tool: stage.lines for stage in stages_of(mold, "lid")}
-    assert "(pilots)" in stages["drill 3.2 mm"]
-    places = [line for line in stages["drill 11 mm"] if line.startswith("G0 X")]
-    assert len(places) == 2
-    assert set(places) <= set(stages["drill 3.2 mm"])
     assert "dowels" not in steps
 
 
 def test_plates_without_room_for_hinges_are_refused() -> None:
     tube = load_robot("thesis_etr").tubes[0]
-    with pytest.raises(InputError, match=r"no room for hinges along its upper edge; they need 26\.8 mm"):
+    with pytest.raises(InputError, match=r"no room for hinges along its upper edge; they need 28\.4 mm"):
         plan_mold(tube, replace(HINGED, plate=PlateSpec(size=(155e-3, 45e-3))))
     with pytest.raises(InputError, match=r"latch_diameter of the hinge is 7 mm; the nut of a bolt"):
         MoldSpec(hinge=HingeSpec(screw_diameter=3e-3, latch_diameter=7e-3))
+
+
+def test_holes_too_wide_for_a_collet_are_milled_whole_and_nothing_beside_them() -> None:
+    """The path of the 4 mm cutter, swept: it covers the circle of 11 mm below the lid, and leaves what is around."""
+    mold = plan_mold(load_robot("thesis_etr").tubes[0], HINGED)
+    last, slotted = programs(mold, "lid")[-1], bool(mold.slots)
+    deep = np.vstack([m.piece.point(np.linspace(0, m.piece.length, 40)) for m in last.motions if m.end < -6.35e-3])
+    for hole in [hole for hole in mold.lid_holes if hole.purpose == "latch"]:
+        centre = np.array([mold.size[0] - hole.centre[0] if slotted else hole.centre[0], hole.centre[1]])
+        path = deep[np.linalg.norm(deep - centre, axis=1) < 6e-3]
+        assert np.linalg.norm(path - centre, axis=1).max() + 2e-3 == pytest.approx(5.5e-3, abs=1e-6)
+        grid = np.mgrid[-5.4e-3:5.4e-3:41j, -5.4e-3:5.4e-3:41j].reshape(2, -1).T
+        inside = grid[np.linalg.norm(grid, axis=1) < 5.4e-3] + centre
+        assert np.linalg.norm(inside[:, None] - path, axis=2).min(axis=1).max() < 2e-3
+
+
+def test_countersinks_leave_a_wall_to_the_edge() -> None:
+    """A head is twice as wide as its screw, and 3 mm of board stay beside it."""
+    mold = plan_mold(load_robot("thesis_etr").tubes[0], HINGED)
+    screws = [hole for hole in mold.base_holes if hole.purpose == "hinge"]
+    assert min(mold.size[1] - hole.centre[1] - hole.diameter for hole in screws) >= 3e-3 - 1e-9
 
 
 @pytest.mark.parametrize("slotted", [True, False], ids=["slot", "none"])
@@ -231,7 +246,11 @@ def test_the_drawing_of_a_lid_says_that_it_is_mirrored_for_its_lower_face(slotte
 def test_holes_are_as_deep_on_sheets_as_in_programs(spec: MoldSpec) -> None:
     mold = plan_mold(load_robot("thesis_ctr").tubes[0], spec)
     for part in ("base", "lid"):
-        listed = {-float(row[5]) for row in hole_rows(mold, part)}
+        rows = hole_rows(mold, part)
+        listed = {-float(row[5]) for row in rows if "drill" in row[6]}
+        # Milled holes are as deep as the outline.
+        milled = {-float(row[5]) for row in rows if "end mill" in row[6]}
+        assert milled <= {round(1e3 * stages_of(mold, part)[-1].depth, 9)}
         cut = {1e3 * s.depth for s in stages_of(mold, part) if s.tool.startswith("drill")}
         tabled = {float(row[7]) for row in tool_rows(mold) if row[0].startswith(part) and row[1].startswith("drill")}
         assert sorted(listed) == pytest.approx(sorted(cut), abs=1e-9)

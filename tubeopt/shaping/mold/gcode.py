@@ -44,8 +44,8 @@ guide), drills of 3 to 12 mm together 0.008 to 0.016 (Navy training manual 14345
 REAMED = 0.2e-3
 """Diameter (m) that holes of dowels are drilled smaller by, for a reamer (common for 3 to 6 mm)."""
 
-PILOTED = 8e-3
-"""Holes above this diameter, m, are first drilled by the largest smaller drill of their plate."""
+LARGEST_DRILL = 7e-3
+"""Largest diameter of a drill, m, that collets of common routers (ER11) hold: wider holes are milled."""
 
 PROBING = 1.0
 """Feed (mm/s) towards a touch plate."""
@@ -176,6 +176,16 @@ def drill_depth(diameter: float, thickness: float) -> float:
     return math.ceil((thickness + THROUGH + POINT * diameter) * 1e4 - 1e-6) / 1e4
 
 
+def is_milled(hole: Hole, spec: MoldSpec) -> bool:
+    """True for a hole too wide for a drill: the end mill of the outline cuts it in circles."""
+    return drill_diameter(hole) > max(LARGEST_DRILL, spec.workshop.outline_diameter)
+
+
+def hole_depth(hole: Hole, thickness: float, spec: MoldSpec) -> float:
+    """Depth (m) of the tool of a hole below the face of a plate of a `thickness`, m."""
+    return thickness + THROUGH if is_milled(hole, spec) else drill_depth(drill_diameter(hole), thickness)
+
+
 def programs(mold: Mold, part: str) -> list[Program]:
     """Programs of a plate: one, or without a touch plate one for each tool.
 
@@ -224,22 +234,22 @@ def placed_holes(mold: Mold, part: str) -> list[Hole]:
 
 
 def stages_of(mold: Mold, part: str) -> list[Stage]:
-    """Machining stages of a plate, in order: grooves, a stage for each drill, the outline."""
+    """Machining stages of a plate, in order: grooves, a stage for each drill, then wide holes and the outline."""
     spec, shop, base = mold.spec, mold.spec.workshop, part == "base"
     thickness = spec.plate.thickness if base else spec.plate.lid_thickness
     holes = placed_holes(mold, part)
     stages = groove_stages(mold) if base else slot_stages(mold)
-    drills = sorted({drill_diameter(hole) for hole in holes})
-    for diameter, wider in zip(drills, [*drills[1:], 0.0], strict=True):
+    wide = [hole for hole in holes if is_milled(hole, spec)]
+    for diameter in sorted({drill_diameter(hole) for hole in holes if hole not in wide}):
         of_drill = [hole for hole in holes if drill_diameter(hole) == diameter]
-        if wider > PILOTED:
-            of_drill += [replace(hole, purpose="pilot") for hole in holes if drill_diameter(hole) > PILOTED]
         tool, feed = f"drill {diameter * TO_MM:g} mm", shop.drill_feed
         drill = Stage(
             tool=tool, diameter=diameter, spindle=shop.drill_spindle, feed=feed, plunge=feed, step=shop.peck, lines=()
         ).slowed(spec.material)
         stages.append(replace(drill, lines=tuple(drilled(of_drill, drill, thickness, spec))))
-    cut = [] if base or mold.hinge is None else list(across(mold.size[0], mold.hinge.pin, thickness, spec))
+    cut = [line for hole in wide for line in bored(hole, thickness, spec)]
+    if not base and mold.hinge is not None:
+        cut += across(mold.size[0], mold.hinge.pin, thickness, spec)
     if shop.cut_out:
         cut += outlined(mold.size, thickness, spec)
     if cut:
@@ -334,6 +344,28 @@ def drilled(holes: Sequence[Hole], drill: Stage, thickness: float, spec: MoldSpe
                 yield f"G1 Z{_mm(-peck)}{_feed(drill.feed)}"
                 yield from _retract(spec)
                 drilled_depth = peck
+
+
+def bored(hole: Hole, thickness: float, spec: MoldSpec) -> Iterator[str]:
+    """Lines of G-code that mill a hole through a plate of a `thickness`, m, in circles from its middle outwards.
+
+    The circles are at most a cutter's radius apart, so that no core is left, and counter-clockwise: climb milling.
+    """
+    shop = spec.workshop
+    cutter = milled(shop.outline_diameter, shop.outline_feed, shop.outline_step, spec)
+    widest = (drill_diameter(hole) - cutter.diameter) / 2
+    count = math.ceil(2 * widest / cutter.diameter - 1e-9)
+    x, y = hole.centre
+    yield f"({hole.purpose}, diameter {_mm(drill_diameter(hole))})"
+    for depth in pass_depths(thickness + THROUGH, cutter.step):
+        yield from _plunge((x + widest / count, y), depth, cutter, spec)
+        for k in range(1, count + 1):
+            radius = widest * k / count
+            yield _move(Arc.between((x + widest / count, y), (x + radius, y))) + _feed(cutter.feed)
+            # A reader takes an arc with equal ends for none.
+            for side in (1, -1):
+                yield _move(Arc((x + side * radius, y), side * math.pi / 2, math.pi * radius, 1 / radius))
+        yield from _retract(spec)
 
 
 def outlined(size: Point, thickness: float, spec: MoldSpec) -> Iterator[str]:

@@ -25,6 +25,7 @@ from ..materials import mold_remarks
 from .checks import (
     Check,
     choose_mill,
+    fit_tolerance,
     groove_depth,
     held_in_plane,
     machining_remarks,
@@ -179,6 +180,13 @@ class Groove:
     def radius_play(self) -> float:
         """Largest relative difference of the tube's radius from the groove's, as it may touch either wall."""
         return (self.width - self.tube.outer_diameter) / 2 * abs(self.curvature)
+
+    def curvature_play(self, tolerance: float) -> float:
+        """Largest change (1/m) of the mean curvature by the tube's play; tolerance: of the groove's width, m.
+
+        The middle of the bend moves by half the play, and its ends by as much the other way.
+        """
+        return 8 * (self.width + tolerance - self.tube.outer_diameter) / self.bend_length**2
 
 
 class MoldStatus(StatusEnum):
@@ -414,6 +422,10 @@ def _overlap(first: Array, second: Array) -> bool:
     return True
 
 
+MOST_PLAY = 0.05
+"""Relative change of the mean curvature by a tube's play that is said in a remark."""
+
+
 def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
     """Remarks on spring-back, shrinkage, clamps and materials."""
     remarks, back = springback_remarks(spec), spec.springback
@@ -433,6 +445,12 @@ def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:
         )
     remarks += _clamp_remarks(grooves, spec.clamps)
     for groove in grooves:
+        change = groove.curvature_play(fit_tolerance(spec)) / max(abs(groove.curvature), 1e-12)
+        if groove.curvature and change > MOST_PLAY:
+            remarks.append(
+                f"tube {groove.number}: play in the groove changes the mean curvature by up to {100 * change:.1f} %; "
+                "a narrower groove (clearance_mm) changes it by less"
+            )
         if groove.tube.material.thermal is None:
             remarks.append(
                 f"tube {groove.number}: thermal constants of {groove.tube.material.name} are not known; those of "

@@ -361,11 +361,10 @@ class MoldSpec(Displayed):
     @property
     def behind(self) -> float:
         """Distance of the pin from the plate's upper edge, m."""
-        return self.hinge.reach + self.hinge.screw_diameter / 2 + self.groove.wall
+        # A countersunk head is twice as wide as its screw.
+        return self.hinge.reach + self.hinge.screw_diameter + self.groove.wall
 
     @property
     def upper_margin(self) -> float:
         """Distance from grooves to the upper edge of an automatically sized plate, m."""
-        # A countersunk head is twice as wide as its screw.
-        ahead = self.hinge.reach + self.hinge.screw_diameter + self.groove.wall
-        return max(self.plate.margin, self.behind + ahead) if self.hinged else self.plate.margin
+        return max(self.plate.margin, 2 * self.behind) if self.hinged else self.plate.margin

@@ -17,19 +17,19 @@ from ...shaping.heating.controller import MOST_EXCESS, wilson
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import AGEING_DEGC, LEFT, SHORTEST_AGEING, HeatingPlan, LeftInMold, left_in_mold
 from ...shaping.heating.sensors import Thermocouple
+from ...shaping.heating.thermocouple import FILM
 from ...shaping.materials import MoldMaterial
 from ...shaping.mold.checks import THROUGH, fit_tolerance
 from ...shaping.mold.files import halves
 from ...shaping.mold.gcode import (
     PER_MINUTE,
-    PILOTED,
     POINT,
     REAMED,
-    TOLERANCE,
     Stage,
     clamp_distance,
-    drill_depth,
     drill_diameter,
+    hole_depth,
+    is_milled,
     placed_holes,
     programs,
     slot_paths,
@@ -40,6 +40,7 @@ from ...shaping.mold.groove import Arc
 from ...shaping.mold.layout import Hole
 from ...shaping.mold.mandrel import SHANK, Block, Cylinder, Mandrel, exits_of, mandrel_cutter, mandrel_time, slot_depths
 from ...shaping.mold.mold import PARTS, Groove, Mold, clamp_corners
+from ...shaping.mold.spec import MoldSpec
 from ...shaping.tube_fabrication import TubeFabrication
 from ..page import WIDTH
 from .heating import draw_duty, draw_temperature
@@ -71,7 +72,7 @@ ROW = 3.9
 BETWEEN = 10.0
 """Space between the drawings of base and lid, mm."""
 
-TOOL_COLUMNS = 0.0, 19.0, 55.0, 66.0, 78.0, 91.0, 103.0, 112.0, 123.0, 136.0
+TOOL_COLUMNS = 0.0, 17.0, 49.0, 60.0, 71.0, 83.0, 95.0, 104.0, 114.0, 138.0
 """Columns of the table of tools, mm."""
 
 STEP_SIZES = 7.5, 6.8, 6.2, 5.6, 5.0
@@ -285,7 +286,7 @@ def plot_hole_sheet(mold: Mold, *, part: str, title: str = "") -> Figure:
 
 
 HOLE_HEADING = ("no.", "X", "Y", "diam.", "fit", "Z", "purpose, tool")
-"""Heading of a table of holes: Z at the point of the drill."""
+"""Heading of a table of holes: Z at the point of the tool."""
 
 FITS = {"bolt": "+0.2", "vent": "+0.1", "wire": "+0.1", "hinge": "+0.1", "latch": "+0.2"}
 """Tolerances of diameters above nominal, mm; a dowel has one for each plate."""
@@ -307,6 +308,8 @@ def hole_rows(mold: Mold, part: str) -> list[tuple[str, ...]]:
     for k, hole in enumerate(ordered_holes(mold, part), start=1):
         drill = drill_diameter(hole)
         tool = f"{hole.purpose}, drill {drill * TO_MM:g}"
+        if is_milled(hole, mold.spec):
+            tool = f"{hole.purpose}, end mill {mold.spec.workshop.outline_diameter * TO_MM:g}"
         if hole.purpose == "dowel":
             tool += f", ream {hole.diameter * TO_MM:g}"
         # Heads are in the lower faces of lid and base: on the strip between base and leaf there is none.
@@ -322,7 +325,7 @@ def hole_rows(mold: Mold, part: str) -> list[tuple[str, ...]]:
                 y,
                 f"{hole.diameter * TO_MM:g}",
                 fit,
-                f"-{drill_depth(drill, thickness) * TO_MM:.4g}",
+                f"-{hole_depth(hole, thickness, mold.spec) * TO_MM:.4g}",
                 tool,
             )
         )
@@ -383,7 +386,7 @@ def hole_notes(mold: Mold, part: str) -> list[str]:
     """Notes below a table of holes."""
     notes = [
         f"{zero_text(mold, part)}.",
-        "All holes go through; Z is at the point of the drill, which runs into the waste board. Diameters as in the "
+        "All holes go through; Z is at the point of the tool, which runs into the waste board. Diameters as in the "
         "table; the rest ISO 2768-m.",
         "Positions: bolts, vents, wires, hinges, latches ± 0.1 mm"
         + (
@@ -398,9 +401,6 @@ def hole_notes(mold: Mold, part: str) -> list[str]:
             "Countersinks for the heads of the hinges' screws, by hand: no program cuts them."
             + (" Dashed: the cut of the lid above." if part == "base" else "")
         )
-    pilots = [hole for hole in placed_holes(mold, part) if drill_diameter(hole) > PILOTED]
-    if pilots:
-        notes.append(f"Holes above {PILOTED * TO_MM:g} mm: the program of the next smaller drill pilots them.")
     return notes
 
 
@@ -421,7 +421,7 @@ def groove_numbers(groove: Groove, mold: Mold) -> dict[str, str]:
         "groove, width / depth": f"{groove.width * TO_MM:.3f} / {groove.depth * TO_MM:.3f}",
         "limits of its width": _limits_text(groove.width, tolerance),
         "limits of its depth": _limits_text(groove.depth, tolerance),
-        "mean radius by the tube's play": play_text(groove, groove.width + tolerance),
+        "mean radius by the tube's play": play_text(groove, tolerance),
         "radius that comes out (95 %)": coming_text(groove, mold),
         "end mill / passes": f"{groove.mill.diameter * TO_MM:g} / {passes} × {len(groove.cutter_offsets)}",
         "slot in the lid, width / depth / length": "none"
@@ -453,13 +453,9 @@ def _limits_text(size: float, tolerance: float) -> str:
     return f"{(size - tolerance) * TO_MM:.3f} to {(size + tolerance) * TO_MM:.3f}"
 
 
-def play_text(groove: Groove, width: float) -> str:
-    """Smallest and largest mean radius (mm) of a tube that uses its play in a groove of a width (m), as text.
-
-    The middle of the bend moves by half the play, and its ends by as much the other way.
-    """
-    curvature, length = abs(groove.curvature), groove.bend_length
-    change = 8 * (width - groove.tube.outer_diameter) / length**2
+def play_text(groove: Groove, tolerance: float) -> str:
+    """Smallest and largest mean radius (mm) of a tube that uses its play, as text; tolerance: of the width, m."""
+    curvature, change = abs(groove.curvature), groove.curvature_play(tolerance)
     if curvature <= change:
         return "more than the bend"
     return f"{TO_MM / (curvature + change):.1f} to {TO_MM / (curvature - change):.1f}"
@@ -478,9 +474,9 @@ def tool_rows(mold: Mold) -> list[tuple[str, ...]]:
     return rows
 
 
-TOOL_HEADING = ("program", "tool", "rpm", "m/min", "mm/min", "plunge", "step", "depth", "reach", "min")
-"""Heading of the table of tools: cutting speed in m/min, feeds in mm/min, largest step, depth and least cutting length
-in mm.
+TOOL_HEADING = ("program", "tool", "rpm", "m/min", "mm/min", "plunge", "step", "depth", "flute length", "min")
+"""Heading of the table of tools: cutting speed in m/min, feeds in mm/min, largest step, depth and least length of the
+flutes in mm.
 """
 
 
@@ -519,6 +515,10 @@ board."""
 
 BEARING = 2e6
 """Largest pressure of a washer on a board, Pa (assumed: boards are crushed by several MPa)."""
+
+HELD_HEAD = "a drop of ceramic cement that keeps it from turning and falling"
+
+WASHERS = f"flat washers (ISO 7089) under head and nut; on each head {HELD_HEAD}"
 
 THREAD_STRESS = 200e6
 """Largest stress in a thread on plates of metal, Pa: a third of the yield point of class 8.8."""
@@ -568,9 +568,10 @@ def mold_steps(mold: Mold) -> list[str]:
         f"Stock, at least: base {_stock_text(mold, 'base')}, lid {_stock_text(mold, 'lid')} mm (base.dxf, "
         "lid.dxf: from above, closed). "
         f"Add what the clamps hold: they stay {math.ceil(clamp_distance(mold) * TO_MM)} mm or more from the plate. "
-        f"Waste board {_waste_board(mold):g} mm. Faces flat within "
-        f"{fit_tolerance(spec) * TO_MM:g} mm, the tube's least play; thickness up to +{THROUGH * TO_MM:g} mm; "
-        f"cutter's path within {TOLERANCE * TO_MM:g} mm; the rest ISO 2768-m.",
+        f"Waste board {_waste_board(mold):g} mm. Each face flat within "
+        f"{FLAT_SHARE * least_play(mold) * TO_MM:.2g} mm, both together less than the tube's least play over its "
+        f"height ({least_play(mold) * TO_MM:.2g} mm); thickness up to +{THROUGH * TO_MM:g} mm; "
+        f"{_path_text(spec)}; the rest ISO 2768-m.",
         "Positions, depths and fits of holes, grooves and slots: base_holes.pdf, lid_holes.pdf.",
         f"{zero_text(mold, 'base')}.",
         f"Programs of the table in its order (for {spec.workshop.dialect}), Z = 0 on the upper "
@@ -606,6 +607,23 @@ def mold_steps(mold: Mold) -> list[str]:
     ]
 
 
+FLAT_SHARE = 0.4
+"""Allowed unevenness of each of two faces, as a fraction of the least play of a tube between them."""
+
+PATH_SHARE = 0.6
+"""Allowed deviation of a machine from its path, as a fraction of the tolerance of a groove: 0.03 mm for routers."""
+
+
+def least_play(mold: Mold) -> float:
+    """Least play (m) of the tubes over the depth of their grooves, at the lower limits of these."""
+    return min(g.depth - fit_tolerance(mold.spec) - g.tube.outer_diameter for g in mold.grooves)
+
+
+def _path_text(spec: MoldSpec) -> str:
+    """Tolerance of the cutter's path, as text."""
+    return f"cutter's path within {PATH_SHARE * fit_tolerance(spec) * TO_MM:.2g} mm"
+
+
 def _jaws_text(mold: Mold) -> str:
     """Jaws of the clamps, height of the tube above the support, and what sticks out behind them, as text."""
     groove = mold.grooves[0]
@@ -620,6 +638,7 @@ def _jaws_text(mold: Mold) -> str:
         else ""
     )
     pressure = force / (diameter * groove.grip)
+    below = (mold.spec.plate.thickness - axis_height(mold)) * TO_MM
     core = (
         f" A steel core wire of {bore:.2f} mm in each end keeps the bore round if a screw is too tight; it ends at the "
         "clamp's face, or it carries current."
@@ -628,8 +647,8 @@ def _jaws_text(mold: Mold) -> str:
     )
     return (
         f"Jaws: two halves with a half-round groove of {diameter * TO_MM:g} mm; flat jaws crush the tube. Its axis is "
-        f"{axis_height(mold) * TO_MM:.2f} mm above the lower face of the base, and as much more as the plate is "
-        f"thicker than {mold.spec.plate.thickness * TO_MM:g}. The base lies on strips of "
+        f"{below:.2f} mm below the upper face of the base: measure the plate; nominally "
+        f"{axis_height(mold) * TO_MM:.2f} mm above its lower face. The base lies on strips of "
         f"{strips(mold):g} mm, clear of the bolts' heads. Supports insulate: the mold's board. "
         f"Press by at most {force:.0f} N (two M4 screws: {math.floor(10 * force * 4e-3) / 100:g} N m each, 0.2 F d). "
         f"That is {pressure / 1e6:.0f} MPa on the tube, {CRUSHING / 1e6:.0f} MPa in its wall.{core}{through}"
@@ -679,7 +698,8 @@ ROUTER_RPM = 8000
 
 def _waste_board(mold: Mold) -> int:
     """Least thickness (mm) of the waste board: 1 mm more than tools reach into it."""
-    widest = max((drill_diameter(hole) for hole in (*mold.base_holes, *mold.lid_holes)), default=0.0)
+    holes = (hole for hole in (*mold.base_holes, *mold.lid_holes) if not is_milled(hole, mold.spec))
+    widest = max((drill_diameter(hole) for hole in holes), default=0.0)
     return math.ceil((THROUGH + POINT * widest) * TO_MM + 1)
 
 
@@ -698,7 +718,7 @@ def _fasteners(mold: Mold) -> str:
         length = max((each for each in PIN_LENGTHS if each <= grip * TO_MM), default=PIN_LENGTHS[0])
         return (
             f"{bolts} bolts {bolt}, nuts on top, holes {plate.bolt_diameter * TO_MM:g} mm; "
-            "flat washers (ISO 7089) under head and nut, "
+            f"{WASHERS}, "
             f"{torque_text(plate.bolt_diameter, mold.spec.material)}. 2 dowels {pin:g} m6 × "
             f"{length}: drilled {pin - REAMED * TO_MM:g} mm, reamed {pin:g} {DOWEL_FITS['base']} in the base (pins "
             f"stay: cement them) and {pin:g} {DOWEL_FITS['lid']} in the lid (it slides)"
@@ -711,7 +731,7 @@ def _fasteners(mold: Mold) -> str:
         f"countersunk {countersink_text(screw)}. Heads in the lower faces of lid and base, "
         f"{torque_text(screw, mold.spec.material)}. {len(hinge.latches)} latches: "
         f"bolts {bolt}, holes {plate.bolt_diameter * TO_MM:g} mm, "
-        f"in the lid {mold.spec.hinge.latch_diameter * TO_MM:g} mm (piloted)"
+        f"in the lid {mold.spec.hinge.latch_diameter * TO_MM:g} mm"
     )
 
 
@@ -723,7 +743,8 @@ def _hinge_steps(mold: Mold) -> list[str]:
     return [
         "Hinges: the strip cut off the lid stays on the base. One leaf on it, one on the lid, pin over the cut, screws "
         f"{spec.screw_distance * TO_MM:g} mm apart and {spec.reach * TO_MM:g} mm from the pin, heads below, nuts on "
-        "the leaves. Latches: bolts from below through the base; on the lid a slotted washer of at least "
+        "the leaves. Latches: bolts from below through the base, a flat washer (ISO 7089) under each head, and "
+        f"{HELD_HEAD}; on the lid a slotted washer of at least "
         f"{1.6e3 * spec.latch_diameter:.0f} mm, {WASHER:g} mm thick, slot {bolt * TO_MM:g} mm, and a nut, "
         f"{torque_text(bolt, mold.spec.material)}. Nuts pass through the holes of the lid.",
     ]
@@ -731,14 +752,19 @@ def _hinge_steps(mold: Mold) -> list[str]:
 
 def _slot_steps(mold: Mold) -> list[str]:
     """Step, as text, that places the thermocouple in its slot; empty without a slot."""
-    wire = mold.spec.slot.wire * TO_MM
+    if not mold.slots:
+        return []
+    slot, wire = mold.slots[0], mold.spec.slot.wire * TO_MM
+    width, depth, length = (x * TO_MM for x in (slot.mill.diameter, slot.depth, slot.centreline.length))
     return [
         f"Mill the lid with its lower face up, as drawn (mirrored programs): its zero is the lower right corner of the "
         f"closed mold. A thermocouple of {wire:g} mm goes into its slot: junction in the middle, butt-welded since no "
         "bead fits, a leg to each side, out by the holes at its ends. Cement (ceramic) the junction and 3 mm of each "
-        "leg flush, and fix the legs in the slot at its ends. A strip of mica of 0.05 mm covers the whole slot towards "
-        "the tube: bare legs are at its voltage where they touch it.",
-    ][: len(mold.slots)]
+        f"leg, and fix the legs in the slot at its ends, all at least {FILM * TO_MM:g} mm below the face. "
+        f"A strip of mica over them, {FILM * TO_MM:g} × {width:g} × {length:.1f} mm, lies in the slot: wire and mica "
+        f"are {FILM * TO_MM + wire:.2f} mm of {depth:.2f}. Nothing may stand above the face (straight edge): the "
+        "tube would jam. Bare legs are at its voltage where they touch it.",
+    ]
 
 
 def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
@@ -787,8 +813,8 @@ def mandrel_steps(mandrel: Mandrel) -> list[str]:
             + f". Turn it to {diameter:.3f} ± {spec.groove.clearance * TO_MM:g} mm, concentric within "
             f"{spec.groove.clearance * TO_MM:g} mm; the rest ISO 2768-m. {cooling_text(material)}.",
             "Mill the groove on a fourth axis (mandrel.nc), or by hand from mandrel.csv (feed, rotation, tip). Zero: "
-            f"X {SHANK * TO_MM:g} at the face of the jaws, Z {diameter / 2:.3f} on the cylinder, A anywhere. The "
-            f"cutter deviates from its path by less than {TOLERANCE * TO_MM:g} mm. Break the edges.",
+            f"X {SHANK * TO_MM:g} at the face of the jaws, Z {diameter / 2:.3f} on the cylinder, A anywhere. "
+            f"Tolerance: {_path_text(spec)}. Break the edges.",
         ]
         fixing = "wire over every half turn"
     else:
