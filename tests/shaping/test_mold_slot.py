@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tubeopt import InputError, MoldSpec, load_robot, plan_mold
+from tubeopt import InputError, MoldSpec, Tube, load_robot, plan_mold
 from tubeopt.shaping.materials import STEEL
 from tubeopt.shaping.mold.files import draw_plate, halves, manifold, plate_part, write_mold
 from tubeopt.shaping.mold.gcode import programs, slot_deviation, slot_paths, stages_of
 from tubeopt.shaping.mold.groove import polygon
 from tubeopt.shaping.mold.mold import Mold, chosen_tubes
-from tubeopt.shaping.mold.spec import EndMill, HingeSpec, MillingSpec, PlateSpec, SlotSpec, WorkshopSpec
+from tubeopt.shaping.mold.spec import EndMill, GrooveSpec, HingeSpec, MillingSpec, PlateSpec, SlotSpec, WorkshopSpec
 from tubeopt.show.plots.sheets import groove_numbers, hole_rows, mold_steps, tool_rows
 from tubeopt.typing import Array
 
@@ -226,6 +226,17 @@ def test_holes_too_wide_for_a_collet_are_milled_whole_and_nothing_beside_them() 
         grid = np.mgrid[-5.4e-3:5.4e-3:41j, -5.4e-3:5.4e-3:41j].reshape(2, -1).T
         inside = grid[np.linalg.norm(grid, axis=1) < 5.4e-3] + centre
         assert np.linalg.norm(inside[:, None] - path, axis=2).min(axis=1).max() < 2e-3
+
+
+@pytest.mark.parametrize(("length", "said"), [(30e-3, True), (90e-3, False)])
+def test_a_remark_says_how_far_play_straightens_a_short_bend(length: float, said: bool) -> None:
+    """By the height of the arc of the largest circle between the walls: chord about the length, ends on one wall."""
+    mold = plan_mold(Tube(1e-3, 0.8e-3, 10e-3, length, 10.0), MoldSpec(groove=GrooveSpec(clearance=0.1e-3)))
+    groove = mold.grooves[0]
+    play = groove.width + 0.05e-3 - 1e-3
+    sag = (1 - np.cos(length * groove.curvature / 2)) / groove.curvature
+    assert (play / sag > 0.05) == said == any("play in the groove changes" in remark for remark in mold.remarks)
+    assert groove.curvature_play(0.05e-3) / groove.curvature == pytest.approx(play / sag, rel=0.01)
 
 
 def test_countersinks_leave_a_wall_to_the_edge() -> None:
