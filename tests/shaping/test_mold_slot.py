@@ -236,7 +236,7 @@ def test_a_remark_says_how_far_play_straightens_a_short_bend(length: float, said
     play = groove.width + 0.05e-3 - 1e-3
     sag = (1 - np.cos(length * groove.curvature / 2)) / groove.curvature
     assert (play / sag > 0.05) == said == any("play in the groove changes" in remark for remark in mold.remarks)
-    assert groove.curvature_play(0.05e-3) / groove.curvature == pytest.approx(play / sag, rel=0.01)
+    assert groove.curvature_play(0.05e-3) / groove.curvature == pytest.approx(play / sag, rel=0.02)
 
 
 def test_countersinks_leave_a_wall_to_the_edge() -> None:
