@@ -743,8 +743,8 @@ def _hinge_steps(mold: Mold) -> list[str]:
     return [
         "Hinges: the strip cut off the lid stays on the base. One leaf on it, one on the lid, pin over the cut, screws "
         f"{spec.screw_distance * TO_MM:g} mm apart and {spec.reach * TO_MM:g} mm from the pin, heads below, nuts on "
-        "the leaves. Latches: bolts from below through the base, a flat washer (ISO 7089) under each head, and "
-        f"{HELD_HEAD}; on the lid a slotted washer of at least "
+        "the leaves. Latches: bolts from below through the base, a flat washer (ISO 7089) under each head. On "
+        f"each head {HELD_HEAD}. On the lid a slotted washer of at least "
         f"{1.6e3 * spec.latch_diameter:.0f} mm, {WASHER:g} mm thick, slot {bolt * TO_MM:g} mm, and a nut, "
         f"{torque_text(bolt, mold.spec.material)}. Nuts pass through the holes of the lid.",
     ]
