@@ -45,7 +45,7 @@ REAMED = 0.2e-3
 """Diameter (m) that holes of dowels are drilled smaller by, for a reamer (common for 3 to 6 mm)."""
 
 LARGEST_DRILL = 7e-3
-"""Largest diameter of a drill, m, that collets of common routers (ER11) hold: wider holes are milled."""
+"""Largest diameter of a drill, m, that common routers (ER11) hold: wider holes are milled."""
 
 PROBING = 1.0
 """Feed (mm/s) towards a touch plate."""
