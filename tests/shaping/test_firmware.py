@@ -27,7 +27,6 @@ from tubeopt.runs.workshop_file import rig_from_dict, rig_to_dict
 from tubeopt.shaping.firmware import boards
 from tubeopt.shaping.firmware.boards import (
     BOARDS,
-    Part,
     Wiring,
     coil_zener,
     converter_for,
@@ -54,6 +53,7 @@ from tubeopt.shaping.heating.cutout import (
     cutout_delay,
     safe_supplies,
     stop_current,
+    upward,
 )
 from tubeopt.shaping.heating.rig import Battery
 from tubeopt.shaping.heating.thermal import FINE, ThermalModel, thermal_model
@@ -618,24 +618,45 @@ def test_a_built_circuit_keeps_its_current_sensor_and_pulses() -> None:
     assert replace(part, led=None).rig.circuit.hall_sensitivity is None
 
 
-def test_parts_of_several_tubes_are_one_list_with_the_fuse_of_each(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A cable for the larger current, but every fuse; where neither tube has both larger currents, both ratings."""
-    ratings = {1: ("10 A", "2.5 mm2"), 2: ("15 A", "6 mm2"), 3: ("20 A", "10 mm2")}
-    currents = {1: (28.0, 7.0), 2: (41.0, 9.0), 3: (30.0, 12.0)}
-    fakes: dict[str, Any] = {
-        "parts_list": lambda k, _: tuple(
-            Part(name, r, "") for name, r in zip(("fuse", "cable"), ratings[k], strict=True)
-        ),
-        "cut_out": lambda k: Mock(current=currents[k][0]),
-        "root_mean_square": lambda k: currents[k][1],
-    }
-    for name, fake in fakes.items():
-        monkeypatch.setattr(boards, name, fake)
-    plans: Any = {1: 1, 2: 2}
-    assert [part.rating for part in shared_parts(plans, Wiring())] == ["tube 1: 10 A; tube 2: 15 A", "6 mm2"]
-    plans = {2: 2, 3: 3}
-    assert shared_parts(plans, Wiring())[1].rating == "tube 2: 6 mm2; tube 3: 10 mm2"
-    assert [part.rating for part in shared_parts({1: plans[2]}, Wiring())] == ["15 A", "6 mm2"]
+def test_a_circuit_of_several_tubes_has_the_largest_ratings_and_the_fuse_of_each() -> None:
+    """One draws the larger current, and the other has the larger rms current: no rating is below that of a tube."""
+    strong = replace(plan(), outcome=replace(plan().outcome, peak_current=1.3 * plan().peak_current))
+    longer = replace(plan(), course=replace(plan().course, duty=np.minimum(4 * plan().duty, 255)))
+    both = strong, longer
+    of_two = {part.name: part.rating for part in shared_parts(dict(enumerate(both, start=1)), Wiring())}
+    alone = [{part.name: part.rating for part in parts_list(each, Wiring())} for each in both]
+    for each in both:
+        drawn = {part.name: part.rating for part in ClosedLoopHeating(each, led(), Wiring(), 1.0, both).parts}
+        assert drawn.pop("fuse") in of_two["fuse"]
+        assert drawn == {name: rating for name, rating in of_two.items() if name != "fuse"}
+    assert of_two["fuse"].startswith("tube 1: ")
+    for name, k in {"cable": 1, "TVS diode": 0, "main switch": 0}.items():
+        assert of_two[name] == alone[k][name] != alone[1 - k][name]
+    assert shared_parts({2: longer}, Wiring()) == parts_list(longer, Wiring())
+
+
+@pytest.mark.parametrize("clamp", [14.0, 24.0, 40.0])
+def test_a_clamp_takes_what_the_loop_stores_and_the_battery_adds(clamp: float) -> None:
+    """Against an integration of L i' = battery - R i - clamp until the current has ended."""
+    battery, current, step = 12.7, 73.0, 1e-9
+    i, energy = current, 0.0
+    while i > 0:
+        energy += clamp * i * step
+        i += step / boards.LOOP_INDUCTANCE * (battery * (1 - i / current) - clamp)
+    assert boards.clamped_energy(current, battery, clamp) == pytest.approx(energy, rel=2e-3)
+
+
+def test_the_fuse_outlives_pulses_that_the_feedback_lengthens() -> None:
+    """Five times the longest pulse that the law allows, rounded up."""
+    law = led().law
+    longest = max(float(law.planned.max()), min((1 + law.share) * law.planned.max(), law.bare_count, MOST_COUNT))
+    corrected = cut_out(replace(plan(), feedback=led()))
+    expected = plan().peak_current**2 * longest / 255 / plan().rig.circuit.pwm_frequency
+    assert expected <= corrected.pulse <= expected * (1 + 2 / longest)
+    assert corrected.pulse > 1.2 * cut_out(plan()).pulse
+    rating = parts_list(replace(plan(), feedback=led()), Wiring())[2].rating
+    assert 5 * expected <= float(re.findall(r"([0-9.]+) A2s", rating)[0]) < 5.6 * expected
+    assert [upward(value) for value in (1.14, 1.43, 18.5, 0.2, 261.0)] == ["1.2", "1.5", "19", "0.2", "270"]
 
 
 def test_a_correction_beyond_full_pulses_does_not_wind_up() -> None:

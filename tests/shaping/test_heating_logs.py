@@ -161,13 +161,22 @@ def test_files_of_cameras_and_of_several_thermometers(tmp_path: Path) -> None:
 
 def test_cold_ends_age_as_long_as_they_are_near_450_degC() -> None:
     plan = thesis_plan()
-    length, longest = ageing(plan)
-    half = len(plan.position) // 2
-    hot = plan.temperature[:, :half].max(0)
-    inside = (hot > 400) & (hot < 500) & ~plan.curved[:half]
-    assert length == pytest.approx(np.ptp(plan.position[:half][inside]), abs=5e-3)
+    near, far, longest = ageing(plan)
+    end = plan.temperature[int(np.flatnonzero(plan.in_hold)[-1])]
+    half = len(end) // 2
+    outside = np.flatnonzero(~plan.curved[:half])
+    bend = 0.5 * plan.position[outside[-1] : outside[-1] + 2].sum()
+    # By interpolation between the points, not by cells.
+    colder, hotter = np.interp([400.0, 500.0], end[outside], bend - plan.position[outside])
+    assert [near, far] == pytest.approx([hotter, colder], abs=1.2e-3)
+    assert 5e-3 < far - near
     assert 10 < longest < plan.hold_end
-    assert "BIOMED2007" in ageing_remarks(plan)[0]
-    assert f"for up to {longest:.0f} s" in ageing_remarks(plan)[0]
-    cold = replace(plan, course=replace(plan.course, temperature=np.full_like(plan.temperature, 25.0)))
+    # Nothing is said of a tube whose ends are trimmed off, or trimmed before this stretch.
+    assert ageing_remarks(plan) == ()
+    long = [replace(plan, tube=replace(plan.tube, straight_length=length)) for length in (near - 2e-3, 0.1)]
+    assert ageing_remarks(long[0]) == ()
+    assert f"from {1e3 * near:.0f} to {1e3 * far:.0f} mm before the bend" in ageing_remarks(long[1])[0]
+    assert f"for up to {longest:.0f} s" in ageing_remarks(long[1])[0]
+    assert ageing(plan, 0.5 * (near + far)).far == pytest.approx(0.5 * (near + far))
+    cold = replace(long[1], course=replace(plan.course, temperature=np.full_like(plan.temperature, 25.0)))
     assert ageing_remarks(cold) == ()

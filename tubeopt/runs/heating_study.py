@@ -21,9 +21,11 @@ from ..shaping.firmware.boards import (
     BOARDS,
     CONVERTERS,
     READS,
+    Part,
     Wiring,
     converter_for,
     hall_slope,
+    parts_list,
     pwm_frequency,
     with_pulses,
 )
@@ -337,6 +339,13 @@ class ClosedLoopHeating(Displayed):
     wiring: Wiring
     """Board, pins and parts."""
     frequency: Annotated[float, key("pwm_Hz"), "PWM frequency"]
+    shared: tuple[HeatingPlan, ...] = ()
+    """Heatings of all tubes of the circuit; empty for a circuit of this tube alone."""
+
+    @functools.cached_property
+    def parts(self) -> tuple[Part, ...]:
+        """Electrical parts of the circuit, with what this tube has for itself."""
+        return parts_list(self.plan, self.wiring, self.shared)
 
 
 @keys_from(HeatingSpec)
@@ -399,7 +408,7 @@ class ClosedLoopStudy(HeatedTube):
         show(1, 2)
         feedback = design_feedback(plan, self._sensor(), samples=self.samples)
         show(2, 2)
-        return ClosedLoopHeating(plan, feedback, wiring, rig.circuit.pwm_frequency)
+        return ClosedLoopHeating(replace(plan, feedback=feedback), feedback, wiring, rig.circuit.pwm_frequency)
 
 
 # --- calibration of a rig ---------------------------------------------------------------------------------------------
@@ -479,12 +488,12 @@ class TubeParts:
         circuit = rig.circuit if sensor is None else replace(rig.circuit, hall_sensitivity=sensor)
         return replace(rig, tube=self.heating.plan.tube, circuit=circuit)
 
-    def with_firmware(self, wiring: Wiring) -> TubeParts:
-        """A copy with the firmware for a wiring, of a heating with a sensor."""
+    def with_firmware(self, wiring: Wiring, shared: tuple[HeatingPlan, ...]) -> TubeParts:
+        """A copy with the firmware for a wiring that several heatings share, of a heating with a sensor."""
         plan = self.heating.plan
         assert plan.feedback is not None
         frequency = plan.rig.circuit.pwm_frequency
-        return replace(self, led=ClosedLoopHeating(plan, plan.feedback, wiring, frequency))
+        return replace(self, led=ClosedLoopHeating(plan, plan.feedback, wiring, frequency, shared))
 
 
 @dataclass(frozen=True, eq=False)
@@ -567,8 +576,8 @@ class FabricationStudy(Timed):
             heating = evaluate_heating(fabrication.heating, charges, samples=self.samples, sensor=sensor)
             parts.append(TubeParts(number, fabrication, mold, heating))
         if self.sensor in READS:
-            plans = [part.heating.plan for part in parts]
+            plans = tuple(part.heating.plan for part in parts)
             slope = min(hall_slope(wiring, stop_current(plan.tube, plan.rig)) for plan in plans)
             wiring = replace(wiring, shunt_V_per_A=slope)
-            parts = [part.with_firmware(wiring) for part in parts]
+            parts = [part.with_firmware(wiring, plans) for part in parts]
         return Fabrication(self.robot, tuple(parts), tuple(left_out))

@@ -20,7 +20,7 @@ from ..robots.tubes import Tube
 from ..runs.heating_run import HeatingRun, HeatingRunStudy
 from ..runs.heating_study import ClosedLoopHeating, Heating, Success
 from ..runs.workshop_file import rig_to_dict, save_rig
-from ..shaping.firmware.boards import Part, hall_slope, parts_list
+from ..shaping.firmware.boards import Part, hall_slope
 from ..shaping.firmware.sketch_files import write_sketch
 from ..shaping.heating.calibration import BIAS, UNITS, RigFit, kind_of
 from ..shaping.heating.controller import Contribution, Feedback
@@ -424,7 +424,7 @@ FEEDBACK_HEATING = described(
     *within(FEEDBACK, lambda a: a.feedback),
     *within(CUT_OUT, lambda a: cut_out(a.plan)),
     Quantity("safe_supplies", "supplies that need no cut-out", lambda a: list(safe_supplies(a.plan)), of=SUPPLY),
-    Quantity("parts", "list of parts", lambda a: list(parts_list(a.plan, a.wiring)), of=PART),
+    Quantity("parts", "list of parts", lambda a: list(a.parts), of=PART),
 )  # fmt: skip
 
 
@@ -448,7 +448,7 @@ class FeedbackReport(Report[ClosedLoopHeating]):
         contributions = columns(answer.feedback.contributions[:6], CONTRIBUTION)
         return [
             grid(*contributions, title="what moves the temperature (standard deviation)"),
-            grid(*columns(parts_list(answer.plan, answer.wiring), PART), title="what to build it of"),
+            grid(*columns(answer.parts, PART), title="what to build it of"),
             grid(*columns(safety.shorts, SHORT), title="switch shorts: hottest point until the cut-out has opened"),
             grid(*columns(safe_supplies(answer.plan), SUPPLY), title="safe without a cut-out"),
             *remarks((*answer.plan.problems, *answer.feedback.problems, *safety.problems), what="problem"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated
 
@@ -14,7 +14,7 @@ from ...errors import InputError, choice
 from ...files.field_metadata import POSITIVE, OneOf, check_fields, form, key, unit
 from ...files.units import TO_MM
 from ...robots.tubes import Tube
-from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, digits, short_rise, stop_current
+from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, digits, short_rise, stop_current, upward
 from ..heating.plan import HeatingPlan
 from ..heating.rig import CHARGED, COUNTS, Battery, Rig
 from ..heating.thermocouple import WIRE
@@ -316,27 +316,33 @@ def cable_of(plan: HeatingPlan) -> float:
     return next((size for size in CABLES if CURRENT_DENSITY * size >= largest), CABLES[-1])
 
 
-OWN_PARTS = "fuse", "thermal cut-out", "thermometer"
-"""Parts that every tube has for itself."""
-
-
 def shared_parts(plans: Mapping[int, HeatingPlan], wiring: Wiring) -> tuple[Part, ...]:
     """Parts of one circuit that heats several tubes, by their numbers.
 
-    A part with different ratings has that of the tube with the largest current, if this tube also has the largest rms
-    current. Otherwise, and for `OWN_PARTS`, it has the rating of every tube.
+    A part that every tube has for itself has the ratings of all.
     """
-    lists = {number: parts_list(plan, wiring) for number, plan in plans.items()}
-    currents = {number: (cut_out(plan).current, root_mean_square(plan)) for number, plan in plans.items()}
-    peak, rms = max(plans, key=lambda number: currents[number]), max(plans, key=lambda number: currents[number][1])
+    lists = {number: parts_list(plan, wiring, tuple(plans.values())) for number, plan in plans.items()}
     shared = []
     for parts in zip(*lists.values(), strict=True):
         ratings = dict(zip(lists, (part.rating for part in parts), strict=True))
-        one = ratings[peak]
-        if len(set(ratings.values())) > 1 and (parts[0].name in OWN_PARTS or peak != rms):
+        one = parts[0].rating
+        if len(set(ratings.values())) > 1:
             one = "; ".join(f"tube {number}: {rating}" for number, rating in ratings.items())
         shared.append(replace(parts[0], rating=one))
     return tuple(shared)
+
+
+def clamped_energy(current: float, battery: float, clamp: float) -> float:
+    """Energy (J) that a TVS diode takes as a switch opens: that of the loop, and what the battery adds meanwhile.
+
+    With resistance R = battery / current the loop has L i' = battery - R i - clamp. The energy is the integral of
+    clamp i.
+
+    Args:
+        current: at the opening, A. battery, clamp: voltages, V; the clamp has the larger one.
+    """
+    a = battery / clamp
+    return LOOP_INDUCTANCE * current**2 * (1 / a + (1 - a) / a**2 * math.log1p(-a))
 
 
 COIL_ZENERS = 24.0, 18.0, 15.0, 12.0, 10.0, 6.8, 5.1
@@ -349,12 +355,18 @@ def coil_zener(transistor: float, charged: float) -> float:
     return next((zener for zener in COIL_ZENERS if supply + zener + 1 <= 0.9 * transistor), COIL_ZENERS[-1])
 
 
-def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
-    """Parts between battery and tube, rated for the plan's currents and a shorted switch, and those of the board."""
-    rig, safety = plan.rig, cut_out(plan)
+def parts_list(plan: HeatingPlan, wiring: Wiring, plans: Sequence[HeatingPlan] = ()) -> tuple[Part, ...]:
+    """Parts between battery and tube, rated for the plan's currents and a shorted switch, and those of the board.
+
+    Args:
+        plans: heatings of all tubes of the circuit. Ratings are the largest of them. Only fuse, thermal cut-out and
+            thermometer are those of `plan`.
+    """
+    rig, safety, plans = plan.rig, cut_out(plan), (plan, *plans)
     short = CHARGED * rig.battery.open_circuit[-1][1] / rig.battery.internal_resistance
-    rms, peak, rest, circuit = root_mean_square(plan), safety.current, rig.battery.voltage, rig.circuit
-    fuse, cable = fuse_of(plan), cable_of(plan)
+    rms, peak = max(map(root_mean_square, plans)), max(cut_out(each).current for each in plans)
+    rest, circuit = rig.battery.voltage, rig.circuit
+    fuse, cable = fuse_of(plan), max(map(cable_of, plans))
     # In parallel each has a part of the current, so that all together warm by less.
     many = next(n for n in itertools.count(1) if (rms / n) ** 2 * circuit.mosfet_resistance <= MOSFET_HEAT)
     heat, rated = (rms / many) ** 2 * circuit.mosfet_resistance, math.ceil(MARGIN * peak / 10) * 10
@@ -376,7 +388,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     resistance = 1e3 * circuit.mosfet_resistance
     reference, ratio = board.reference, divider(wiring, rig.battery)
     upper = f"{upper_resistor(wiring, rig.battery) / 1e3:g}"
-    limit = stop_current(plan.tube, rig)
+    limit = max(stop_current(each.tube, each.rig) for each in plans)
     slope = hall_slope(wiring, limit)
     low_volt = reference < 5
     hall = f"Hall, {HALL_SPAN / slope:.0f} A, {1e3 * slope:g} mV/A, {wiring.current_zero:g} V at no current; at 5 V of "
@@ -385,15 +397,17 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
     hall += f"; 1 kohm to the pin, Schottky diode from there to {reference:g} V, bar there" if low_volt else ""
     logic = f"5 V regulator for the board (pin {board.feed})"
     logic += ", its 3.3 V for the logic" if low_volt else " and the logic"
+    logic += f", {COIL:g} A, 100 uF at its input"
     driving = "battery" if charged <= MOST_COIL else "12 V regulator"
     clamp = math.ceil((plan.clamp_temperature.max() + CLAMP_RESERVE) / 10) * 10
     avalanche = 0.5 * LOOP_INDUCTANCE * peak**2
-    overheats = avalanche * circuit.pwm_frequency > TVS_HEAT
+    clamped = clamped_energy(peak, rig.battery.open_circuit[-1][1], standoff)
+    clamped_heat = clamped * circuit.pwm_frequency
     monostable = 1e3 * MONOSTABLE_PERIODS / circuit.pwm_frequency
     timing = timing_resistor(wiring, circuit.pwm_frequency)
     battery, clamps = rig.battery, rig.clamps
     metal = ", as aluminium" if 850 <= clamps.heat_capacity <= 950 else ""
-    flexible = f"slides by {plan.growth * TO_MM:.1f} mm and more"
+    flexible = f"slides by {max(each.growth for each in plans) * TO_MM:.1f} mm and more"
     diode_at = (
         "from the 5 V regulator to VSYS (the board has its own from USB)"
         if board.name == "pico"
@@ -408,9 +422,10 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              f"{clamps.heat_capacity:g} J/(kg K){metal}; a flexible lead to the sliding one",
              f"as in the rig file; the sliding one {flexible}"),
         Part("fuse", f"{fuse} A, fast (gR), at the battery's plus; pre-arcing I2t of at least "
-             f"{math.ceil(safety.least_melting)} A2s, or pulses of {peak:.0f} A age it; breaks "
+             f"{upward(safety.least_melting)} A2s, or pulses of {safety.current:.0f} A age it; breaks "
              f"{math.ceil(short / 1e3)} kA at {math.ceil(charged)} V DC",
-             f"{current}; backs up the cut-out: {safety.withstood:.0f} A2s ({1e3 * safety.budget:.0f} ms of a short) "
+             f"{root_mean_square(plan):.0f} A rms, {safety.current:.0f} A while on; backs up the cut-out: "
+             f"{safety.withstood:.0f} A2s ({math.floor(1e3 * safety.budget)} ms of a short) "
              "take the tube to 650 degC"),
         Part("main switch", f"battery isolator, lockable, {rated} A DC, behind the fuse",
              "cuts tube, cut-out and board off for work on the rig"),
@@ -421,10 +436,9 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("cut-out", f"contactor, normally open, {rated} A DC; coil 12 V, at most {COIL:g} A at pull-in, no "
              f"economizer. It opens within {1e3 * circuit.cutout_opening:g} ms, measured with a Zener diode of "
              f"{coil_zener(voltage, charged):g} V, 5 W, across the coil in series with a diode: bars together, Zener "
-             "at the coil's plus. Or two MOSFETs back to back, without these diodes: one does not block a reversed "
-             "battery",
-             f"shorted switch: tube at {safety.peak:.0f} degC after {1e3 * safety.delay:.0f} ms, 650 degC after "
-             f"{1e3 * safety.budget:.0f} ms"),
+             "at the coil's plus",
+             f"shorted switch: tube at {safety.peak:.0f} degC after {math.ceil(1e3 * safety.delay)} ms, 650 degC after "
+             f"{math.floor(1e3 * safety.budget)} ms"),
         Part("monostable", f"{monostable:.3g} ms (74HC123, +-20 %): {timing / 1e3:g} kohm, "
              f"{1e9 * TIMING_CAPACITOR:g} nF film, 1N4148 from pin 15 to 16, bar at 16; at {reference:g} V; 100 nF "
              "from pin 16 to 8",
@@ -452,10 +466,13 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
         Part("MOSFET", f"{'' if many == 1 else f'{many} in parallel, each '}{voltage} V, {rated} A, logic level, gate "
              f"+-20 V, at most {resistance:g} mohm, avalanche {digits(1e3 * MARGIN * avalanche)} mJ",
              f"{peak:.0f} A while on; warms by {heat:.1f} W, up to {MOSFET_HEAT:g} W need no heat sink"),
-        Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, from drain to source",
-             f"cables of {1e6 * LOOP_INDUCTANCE:g} uH store {digits(1e3 * avalanche)} mJ a pulse: "
-             f"{digits(avalanche * circuit.pwm_frequency)} W on average"
-             + (f", more than {TVS_HEAT:g} W: slower pulses, or a supply of less voltage" if overheats else "")),
+        Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, at least "
+             f"{math.ceil(peak * voltage / 100) / 10:g} kW (10/1000 us) and {math.ceil(2 * MARGIN * clamped_heat) / 2:g} "
+             "W continuous on copper, at the MOSFET's lugs",
+             f"{peak:.0f} A at up to {voltage} V; cables of {1e6 * LOOP_INDUCTANCE:g} uH and battery give it at most "
+             f"{digits(1e3 * clamped)} mJ a pulse: {digits(clamped_heat)} W on average"
+             + (f", more than {TVS_HEAT:g} W: slower pulses, or a supply of less voltage"
+                if clamped_heat > TVS_HEAT else "")),
         Part("gate driver", f"2 A or more, inputs for {reference:g} V logic, 10 kohm from input to ground; "
              "10 ohm to the gate, 10 kohm from gate to "
              "source, 1 uF at its supply",
@@ -464,7 +481,7 @@ def parts_list(plan: HeatingPlan, wiring: Wiring) -> tuple[Part, ...]:
              "the loop's inductance"),
         Part("reverse polarity", "diode in the supply of cut-out and board",
              "a reversed battery does not close the cut-out"),
-        Part("current sensor", hall, f"{current}; the board stops at {limit:.0f} A"),
+        Part("current sensor", hall, f"{current}; the board stops at {stop_current(plan.tube, rig):.0f} A"),
         Part("divider", f"{upper} kohm, at the wire behind the cut-out, {LOWER / 1e3:g} kohm and 1 nF to ground",
              f"1 : {ratio:g}, {rest:.1f} V at rest are {rest / ratio:.2f} of {reference:g} V"),
         Part("thermometer", sensor, f"at the middle of the curved part, which is at {rest:.1f} V between pulses"),

@@ -20,6 +20,7 @@ from ...errors import without_unit_warnings
 from ...files.field_metadata import form, key, unit
 from ...physics.heat import GRIP
 from ...robots.tubes import Tube
+from .controller import MOST_COUNT
 from .counts import full_current, heating_rate
 from .plan import HeatingPlan
 from .rig import COUNTS, Rig
@@ -101,7 +102,7 @@ class CutOut:
     delay: Annotated[float, key("cutout_delay_ms"), "longest time from a short until the current has ended"]
     budget: Annotated[float, key("cutout_budget_ms"), "delay that lets the tube reach 650 degC"]
     current: Annotated[float, key("shorted_A"), "largest current through the shorted switch"]
-    pulse: Annotated[float, key("pulse_A2_s"), "i2t of the longest pulse"]
+    pulse: Annotated[float, key("pulse_A2_s"), "i2t of the longest pulse, with corrections"]
     withstood: Annotated[float, key("withstood_A2_s"), "i2t that takes the tube from the stop limit to 650 degC"]
 
     @property
@@ -155,7 +156,7 @@ def cut_out(plan: HeatingPlan) -> CutOut:
         "at the stop limit": last + 1,
     }
     budget, withstood = _short_budget(model, limit)
-    on = float(plan.duty.max()) / COUNTS / plan.rig.circuit.pwm_frequency
+    on = _largest_count(plan) / COUNTS / plan.rig.circuit.pwm_frequency
     return CutOut(
         shorts=tuple(
             Short(name, slot * k if k <= last else None, float(before[k]), float(peaks[k])) for name, k in named.items()
@@ -167,6 +168,17 @@ def cut_out(plan: HeatingPlan) -> CutOut:
         pulse=plan.peak_current**2 * on,
         withstood=withstood,
     )
+
+
+def _largest_count(plan: HeatingPlan) -> float:
+    """Largest count of a pulse of a plan, with the corrections of its feedback."""
+    planned = float(plan.duty.max())
+    if plan.feedback is None:
+        return planned
+    law = plan.feedback.law
+    corrected = law.planned * (1 + law.largest(law.planned)) + law.lost
+    # Error diffusion adds up to a count.
+    return max(planned, min(math.ceil(corrected.max()), MOST_COUNT))
 
 
 def _current(model: ThermalModel, state: State) -> float:
@@ -191,6 +203,12 @@ def _short_budget(model: ThermalModel, state: State) -> tuple[float, float]:
 def digits(value: float) -> str:
     """Number with two digits, without an exponent, as text."""
     return f"{float(f'{value:.2g}'):g}"
+
+
+def upward(value: float) -> str:
+    """Number above 0, rounded up to two digits, without an exponent, as text."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return digits(math.ceil(value / step - 1e-9) * step)
 
 
 # --- supplies that need no cut-out ------------------------------------------------------------------------------------

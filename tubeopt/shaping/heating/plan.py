@@ -393,41 +393,51 @@ def left_in_mold(plan: HeatingPlan) -> LeftInMold:
 
 
 class Ageing(NamedTuple):
-    """Stretches of the tube next to the curved part within `AGEING_DEGC`."""
+    """Stretch of the tube beyond the curved part that ends the hold within `AGEING_DEGC`, the same at both ends."""
 
-    length: float
-    """Length at each end with its highest temperature in this range, m."""
+    near: float
+    """Distance of its end towards the curved part from there, m."""
+    far: float
+    """Distance of its other end, m; equal to `near` where nothing is in this range."""
     longest: float
-    """Longest time of one of its points in this range, s."""
+    """Longest time of one of its points in this range up to the end of the hold, s."""
 
 
-def ageing(plan: HeatingPlan) -> Ageing:
-    """Ageing of the tube next to the curved part, where nitinol precipitates."""
+def ageing(plan: HeatingPlan, kept: float = math.inf) -> Ageing:
+    """Ageing of the tube beyond the curved part, where nitinol precipitates.
+
+    Args:
+        kept: length of tube beyond the curved part that is not trimmed off, m.
+    """
     half = len(plan.position) // 2
-    outside = np.flatnonzero(~plan.curved[:half])
-    low, high = AGEING_DEGC
-    temperature = plan.temperature[:, outside]
-    inside = (temperature > low) & (temperature < high)
-    times = (inside * np.diff(plan.time, append=plan.time[-1])[:, None]).sum(0)
     x = plan.position[:half]
-    widths = np.diff(np.concatenate([[0.0], 0.5 * (x[1:] + x[:-1]), x[-1:]]))[outside]
-    hottest = temperature.max(0)
-    ages = (hottest > low) & (hottest < high)
-    return Ageing(float(widths[ages].sum()), float(times[ages].max(initial=0.0)))
+    edges = np.concatenate([[0.0], 0.5 * (x[1:] + x[:-1]), x[-1:]])
+    bend = edges[int(np.flatnonzero(plan.curved[:half])[0])]
+    outside = np.flatnonzero(~plan.curved[:half] & (edges[1:] > bend - kept))
+    last = int(np.flatnonzero(plan.in_hold)[-1])
+    low, high = AGEING_DEGC
+    temperature = plan.temperature[: last + 1, outside]
+    inside = (temperature > low) & (temperature < high)
+    ages = outside[inside[-1]]
+    if not len(ages):
+        return Ageing(0.0, 0.0, 0.0)
+    times = (inside[:-1] * np.diff(plan.time[: last + 1])[:, None]).sum(0)
+    near, far = bend - edges[ages[-1] + 1], min(bend - edges[ages[0]], kept)
+    return Ageing(float(near), float(far), float(times[inside[-1]].max()))
 
 
 def ageing_remarks(plan: HeatingPlan) -> tuple[str, ...]:
-    """Remark on the ageing next to the bend; none if no part of the tube is in this range."""
-    length, longest = ageing(plan)
-    if not length:
+    """Remark on the ageing of the straight part that remains; none if no part of it is in this range."""
+    near, far, longest = ageing(plan, plan.tube.straight_length)
+    if far == near:
         return ()
     low, high = AGEING_DEGC
     comparison = "less" if longest < SHORTEST_AGEING else "more"
     return (
-        f"next to the bend, {1e3 * length:.0f} mm of tube at each end stay at {low:.0f} to {high:.0f} degC "
-        f"for up to {longest:.0f} s. There Ti-50.8Ni precipitates fastest, and its Af changes. This is {comparison} "
-        f"than the {SHORTEST_AGEING:.0f} s of the shortest published treatment (BIOMED2007, p. 89). Measure Af of the "
-        "remaining tube",
+        f"the straight part from {1e3 * near:.0f} to {1e3 * far:.0f} mm before the bend ends the hold at {low:.0f} to "
+        f"{high:.0f} degC, where it is for up to {longest:.0f} s. There Ti-50.8Ni precipitates fastest, and its Af "
+        f"changes. This is {comparison} than the {SHORTEST_AGEING:.0f} s of the shortest published treatment "
+        "(BIOMED2007, p. 89). Measure the Af of this part",
     )
 
 

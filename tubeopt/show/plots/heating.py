@@ -12,7 +12,7 @@ import numpy as np
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...runs.heating_study import ClosedLoopHeating
-from ...shaping.firmware.boards import TIMING_CAPACITOR, Wiring, parts_list, timing_resistor
+from ...shaping.firmware.boards import TIMING_CAPACITOR, Wiring, timing_resistor
 from ...shaping.heating.calibration import RigFit
 from ...shaping.heating.oven import OvenPlan
 from ...shaping.heating.plan import HeatingPlan
@@ -389,13 +389,14 @@ def plot_wiring(answer: ClosedLoopHeating) -> Figure:
     if not narrow():  # a narrow page has no space for the parts list, which the sheet has too
         text = figure.add_subplot(grid[:, 1])
         text.set_axis_off()
-        lines = [f"{part.name}: {part.rating}" for part in parts_list(answer.plan, answer.wiring)]
+        lines = [f"{part.name}: {part.rating}" for part in answer.parts]
         rows = [textwrap.fill(line, LETTERS, subsequent_indent="    ") for line in lines]
         notes = [textwrap.fill(note, LETTERS) for note in WIRING_NOTES]
         text.text(0, 1.0, "\n".join(rows), fontsize=6.6, va="top", color=INK, linespacing=1.35)
         text.text(0, 0.0, "\n".join(notes), fontsize=6.6, va="bottom", color=INK, linespacing=1.35)
     outer, inner = (size * TO_MM for size in (answer.plan.tube.outer_diameter, answer.plan.tube.inner_diameter))
-    return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring for a tube of {outer:g} / {inner:g} mm")
+    others = ", ratings for all tubes of the robot, fuse of this one" if len(answer.shared) > 1 else ""
+    return headed(figure, f"{answer.plan.rig.name or 'rig'}: wiring for a tube of {outer:g} / {inner:g} mm{others}")
 
 
 def _draw_boxes(axes: Axes, boxes: Mapping[str, Box], size: float = 8.0) -> None:
