@@ -651,7 +651,7 @@ def test_the_fuse_outlives_pulses_that_the_feedback_lengthens() -> None:
     law = led().law
     longest = max(float(law.planned.max()), min((1 + law.share) * law.planned.max(), law.bare_count, MOST_COUNT))
     corrected = cut_out(replace(plan(), feedback=led()))
-    expected = plan().peak_current**2 * longest / 255 / plan().rig.circuit.pwm_frequency
+    expected = plan().peak_current ** 2 * longest / 255 / plan().rig.circuit.pwm_frequency
     assert expected <= corrected.pulse <= expected * (1 + 2 / longest)
     assert corrected.pulse > 1.2 * cut_out(plan()).pulse
     rating = parts_list(replace(plan(), feedback=led()), Wiring())[2].rating

@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from benchmarks.rig_thermal import Bench
-from tubeopt import HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Thermocouple, Tube, load_robot
+from tubeopt import Feedback, HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Thermocouple, Tube, load_robot
 from tubeopt.shaping import Springback, tube_fabrication
+from tubeopt.shaping.heating.controller import HeatingLaw
 from tubeopt.shaping.heating.plan import left_in_mold
 from tubeopt.shaping.heating.robust import SHORTEST_BARE, longest_bare_tube
 from tubeopt.shaping.heating.sensors import WIRES, equipped, thermocouple_for, wire_dip
@@ -24,6 +27,7 @@ from tubeopt.shaping.heating.thermal import (
     uniform_gap_of,
 )
 from tubeopt.shaping.heating.thermocouple import reading_error
+from tubeopt.shaping.materials import mold_material
 from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode
 from tubeopt.shaping.mold.layout import open_area
 from tubeopt.shaping.mold.mold import plan_mold, plan_robot_mold
@@ -35,6 +39,7 @@ from tubeopt.show.plots.sheets import (
     mold_steps,
     plot_fabrication_sheet,
     preparation,
+    running,
     safety,
     time_line,
 )
@@ -117,6 +122,37 @@ def test_the_sheet_of_an_unlikely_heating_says_do_not_run() -> None:
         texts = {text.get_text(): text.get_position()[1] for text in figure.texts}
         top = texts.get("DO NOT RUN THIS HEATING", 0.0)
         assert (top > 0.9) == any("9 % of rigs" in text for text in texts) == bool(faults)
+
+
+def test_the_sheet_says_which_readings_the_board_shows() -> None:
+    """At a slot of the schedule: the reading that is planned, and how far and how late uncertain rigs are."""
+    index = np.array([[0, 0, 0], [1, 1, 0], [2, 1, 1], [3, 2, 1], [3, 3, 1]])
+    reading = np.array([[25.0, 25, 25], [40, 38, 25], [60, 50, 26], [80, 71, 26], [90, 82, 26]])
+    held = thesis_plan()
+    law = HeatingLaw(0.5, np.full(4, 9.0), np.array([25.0, 41, 62, 82]), (3, 4), 0.01, 0.01, bare_count=20.0, share=2.0)
+    history = Mock(index=index, reading=reading, finished=np.array([True, True, False]))
+    rows: Any = dict.fromkeys(("uncertainty", "contributions"))
+    zeros = np.zeros(2)
+    feedback = Feedback(Thermocouple(), law, history=history, lowest=zeros, highest=zeros, top=zeros, kept=zeros > 0,
+                        open_loop=0.0, window=(500.0, 550.0), limit=550.0, **rows)  # fmt: skip
+    assert feedback.expected(2) == (62.0, 9.0, 0.5)
+    assert feedback.expected(0) == (25.0, 0.0, 0.0)
+    steps = " ".join(running(made_of(replace(held, feedback=feedback))))
+    # 20 of 9 counts.
+    assert "multiplies the counts of the table by 0.0 to 2.2, with at most 20 of 255" in steps
+    on_average = float(re.findall(r"On average ([\d.]+) A", " ".join(safety(held)))[0])
+    used = (held.charge[0] - held.charge[-1]) * held.rig.battery.capacity
+    assert on_average == pytest.approx(used / held.hold_end, abs=0.06)
+
+
+def test_the_sheet_names_the_board_and_its_drying() -> None:
+    """A board with its data and a drying; no drying of steel."""
+    plan = thesis_plan()
+    words = " ".join(preparation(made_of(plan)))
+    assert "737 kg/m3, 0.117 W/(m K)" in words
+    assert "Dry the mold for 2 h at 110 to 150" in words
+    steel = replace(plan.rig, mold=replace(plan.rig.mold, material=mold_material("steel")))
+    assert "Board" not in " ".join(preparation(made_of(replace(plan, rig=steel))))
 
 
 def made_of(plan: HeatingPlan) -> TubeFabrication:

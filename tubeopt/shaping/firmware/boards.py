@@ -14,7 +14,16 @@ from ...errors import InputError, choice
 from ...files.field_metadata import POSITIVE, OneOf, check_fields, form, key, unit
 from ...files.units import TO_MM
 from ...robots.tubes import Tube
-from ..heating.cutout import MARGIN, MONOSTABLE_PERIODS, SHORTED_LIMIT, cut_out, digits, short_rise, stop_current, upward
+from ..heating.cutout import (
+    MARGIN,
+    MONOSTABLE_PERIODS,
+    SHORTED_LIMIT,
+    cut_out,
+    digits,
+    short_rise,
+    stop_current,
+    upward,
+)
 from ..heating.plan import HeatingPlan
 from ..heating.rig import CHARGED, COUNTS, Battery, Rig
 from ..heating.thermocouple import WIRE
@@ -467,8 +476,8 @@ def parts_list(plan: HeatingPlan, wiring: Wiring, plans: Sequence[HeatingPlan] =
              f"+-20 V, at most {resistance:g} mohm, avalanche {digits(1e3 * MARGIN * avalanche)} mJ",
              f"{peak:.0f} A while on; warms by {heat:.1f} W, up to {MOSFET_HEAT:g} W need no heat sink"),
         Part("TVS diode", f"{standoff} V standoff, clamps below {voltage} V, at least "
-             f"{math.ceil(peak * voltage / 100) / 10:g} kW (10/1000 us) and {math.ceil(2 * MARGIN * clamped_heat) / 2:g} "
-             "W continuous on copper, at the MOSFET's lugs",
+             f"{math.ceil(peak * voltage / 100) / 10:g} kW (10/1000 us) and "
+             f"{math.ceil(2 * MARGIN * clamped_heat) / 2:g} W continuous on copper, at the MOSFET's lugs",
              f"{peak:.0f} A at up to {voltage} V; cables of {1e6 * LOOP_INDUCTANCE:g} uH and battery give it at most "
              f"{digits(1e3 * clamped)} mJ a pulse: {digits(clamped_heat)} W on average"
              + (f", more than {TVS_HEAT:g} W: slower pulses, or a supply of less voltage"

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 import scipy
@@ -263,6 +263,17 @@ class Contribution:
     ]
 
 
+class ExpectedReading(NamedTuple):
+    """Corrected reading of the sensor at one slot of a schedule, as the board shows it."""
+
+    reading: float
+    """Planned reading, degC."""
+    deviation: float
+    """Largest deviation from it of an uncertain rig, K."""
+    delay: float
+    """Longest time by which an uncertain rig is late, s."""
+
+
 @dataclass(frozen=True, eq=False)
 class Feedback(Displayed):
     """Feedback controller of a heating, and its simulation on S uncertain rigs."""
@@ -299,6 +310,15 @@ class Feedback(Displayed):
     def samples(self) -> int:
         """Number of sampled rigs S."""
         return len(self.kept)
+
+    def expected(self, place: int) -> ExpectedReading:
+        """Reading at the start of a slot of the schedule, with the deviations of the rigs that complete it."""
+        index, finished = self.history.index[:, self.history.finished], self.history.finished
+        begins = (index >= place).argmax(0)
+        readings = np.take_along_axis(self.history.reading[:, finished], begins[None], 0)[0]
+        reference = float(self.law.reference[place])
+        deviation = float(np.abs(readings - reference).max(initial=0.0))
+        return ExpectedReading(reference, deviation, self.law.slot * float((begins - place).max(initial=0)))
 
     @property
     def probability(self) -> float:

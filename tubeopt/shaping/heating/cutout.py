@@ -178,7 +178,7 @@ def _largest_count(plan: HeatingPlan) -> float:
     law = plan.feedback.law
     corrected = law.planned * (1 + law.largest(law.planned)) + law.lost
     # Error diffusion adds up to a count.
-    return max(planned, min(math.ceil(corrected.max()), MOST_COUNT))
+    return max(planned, min(math.ceil(float(corrected.max())), MOST_COUNT))
 
 
 def _current(model: ThermalModel, state: State) -> float:

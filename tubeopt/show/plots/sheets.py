@@ -13,9 +13,10 @@ from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
 from ...shaping.firmware.boards import Part, cable_of, fuse_of, root_mean_square
 from ...shaping.firmware.sketch_files import CHARGES
-from ...shaping.heating.controller import MOST_EXCESS, wilson
+from ...shaping.heating.controller import MOST_COUNT, MOST_EXCESS, wilson
 from ...shaping.heating.cutout import cut_out
 from ...shaping.heating.plan import AGEING_DEGC, LEFT, SHORTEST_AGEING, HeatingPlan, LeftInMold, left_in_mold
+from ...shaping.heating.rig import COUNTS, LEAD_ACID
 from ...shaping.heating.sensors import Thermocouple
 from ...shaping.heating.thermocouple import FILM
 from ...shaping.materials import MoldMaterial
@@ -930,7 +931,8 @@ def plot_fabrication_sheet(
     duty.set_xlabel("time (s)")
     write_at(figure, EDGE, A4[1] - EDGE + 5, success or "success: not known", weight="bold")
     write_at(figure, EDGE, A4[1] - EDGE - 6, f"{plan.rig.name or 'rig'}, mold of {plan.rig.mold.material.name}")
-    _write_table(figure, (EDGE, EDGE + 62.0), top, heating_numbers(fabrication))
+    numbers = heating_numbers(fabrication)
+    _write_table(figure, (EDGE, EDGE + 62.0), top, numbers)
     if stops:
         write_at(figure, SECOND, A4[1] - EDGE, "DO NOT RUN THIS HEATING", size=13, weight="bold", color=STOP)
     lists = {"Do not run, because": stops} if stops else {}
@@ -940,8 +942,9 @@ def plot_fabrication_sheet(
         "Time line": time_line(fabrication),
         "Safety": safety(plan),
     }
-    lists |= {"This tube": [*remarks]} if remarks else {}
     _write_lists(figure, SECOND, A4[1] - EDGE - 6, lists)
+    if remarks:
+        _write_lists(figure, EDGE, top - (len(numbers) + 1) * ROW, {"This tube": remarks})
     return figure
 
 
@@ -1010,7 +1013,7 @@ def heating_numbers(fabrication: TubeFabrication) -> dict[str, str]:
         "slot (s) / pulses (Hz)": f"{plan.spec.slot:g} / {plan.rig.circuit.pwm_frequency:.4g}",
         "battery at rest / least under load (V)": f"{plan.rig.battery.voltage:.2f} / {plan.voltage[on].min():.2f}",
         "current while on / rms of 10 s (A)": f"{plan.peak_current:.0f} / {root_mean_square(plan):.1f}",
-        "fuse (A) / copper cable (mm²)": f"{fuse_of(plan)} / {cable_of(plan):g}",
+        "fuse (A) / copper cable at least (mm²)": f"{fuse_of(plan)} / {cable_of(plan):g}",
         "energy (kJ) / charge left (%)": f"{plan.energy / 1e3:.1f} / {100 * plan.charge[-1]:.0f}",
         "clamps / wall of the groove at most (°C)": f"{hottest_clamp:.0f} / {hottest_wall:.0f}",
         "growth of the hot tube (mm)": f"{plan.growth * TO_MM:.2f}",
@@ -1026,11 +1029,21 @@ def time_line(fabrication: TubeFabrication) -> list[str]:
     # np.interp needs increasing abscissae, and integer duties let the temperature ripple.
     rising = np.maximum.accumulate(middle[: start + 1])
     goals = [middle[0] + fraction * (middle[start] - middle[0]) for fraction in QUARTERS]
+    times = [float(np.interp(goal, rising, plan.time[: start + 1])) for goal in goals]
     off, left = plan.spec.slot * plan.table_length, left_in_mold(plan)
+    shown = (
+        []
+        if plan.feedback is None
+        else [
+            "Temperatures are those of the tube. The board shows its own reading, corrected for the wires, with the "
+            f"largest deviation and delay of {plan.feedback.samples} uncertain rigs"
+        ]
+    )
     return [
+        *shown,
         f"0 s: switched on, {middle[0]:.0f} °C",
-        *(f"{np.interp(goal, rising, plan.time[: start + 1]):.1f} s: {goal:.0f} °C" for goal in goals),
-        f"{plan.hold_start:g} s: the hold begins, {middle[start]:.0f} °C",
+        *(f"{time:.1f} s: {goal:.0f} °C{_shown_text(plan, time)}" for time, goal in zip(times, goals, strict=True)),
+        f"{plan.hold_start:g} s: the hold begins, {middle[start]:.0f} °C{_shown_text(plan, plan.hold_start)}",
         f"{plan.hold_end:g} s: the hold ends; the last pulse is at {off:g} s",
         f"{opening_text(fabrication.mold)}; tongs put "
         f"the tube into {plan.spec.quench}, and it is below 100 °C {plan.quench_time:.2f} s later. {LEFT:.0f} s after "
@@ -1043,6 +1056,14 @@ def time_line(fabrication: TubeFabrication) -> list[str]:
         + ".",
         _quench_text(left),
     ]
+
+
+def _shown_text(plan: HeatingPlan, time: float) -> str:
+    """Reading that the board shows at a time of the schedule, s, as text; "" without a board."""
+    if plan.feedback is None:
+        return ""
+    expected = plan.feedback.expected(round(time / plan.spec.slot))
+    return f"; shown {expected.reading:.0f} ± {expected.deviation:.0f} °C, up to {expected.delay:.1f} s later"
 
 
 HAND = 2.0
@@ -1084,6 +1105,7 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
     return [
         f"Tube in its groove, {plan.rig.clamps.grip * TO_MM:g} mm of it in each clamp; the {fixed} clamp is fixed, the "
         f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.{live}",
+        *_board_text(plan),
         *(thermometer if sensed else ()),
         f"Fuse of this tube: {fuse_of(plan)} A; that of another tube does not protect it.",
         voltage,
@@ -1091,10 +1113,36 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
         f"{spec.clamps.sliding_end} clamp, MOSFET (drain), its "
         "source to battery minus. A diode across the tube has its ring on the side of the fuse. The tube itself has no "
         "polarity.",
-        "Power off: the resistance from each clamp to bolts and thermocouple must be above 1 Mohm if the mold "
+        f"Power off: the resistance from each clamp to {'screws of hinges' if fabrication.mold.hinge else 'bolts'} "
+        "and thermocouple must be above 1 Mohm if the mold "
         "insulates. Measure it again after the tube was moved. From "
         "clamp to clamp a multimeter measures mainly its own leads; check the current instead.",
     ]
+
+
+DRYING = (110.0, 150.0), 2.0
+"""Temperatures (degC) and time (h) that dry a mold of board (assumed)."""
+
+POROUS = 1500.0
+"""Density below which boards hold water, kg/m^3 (assumed)."""
+
+
+def _board_text(plan: HeatingPlan) -> list[str]:
+    """Material of the mold that the plan assumes, and its drying, as text; empty for a metal."""
+    board = plan.rig.mold.material
+    if not board.electrically_insulating:
+        return []
+    text = (
+        f"Board of the mold, as planned: {board.density:g} kg/m3, {board.conductivity:g} W/(m K), service temperature "
+        f"at least {math.ceil(plan.mold_temperature.max() / 10) * 10} °C."
+    )
+    if plan.feedback is not None and board.density_range is not None and board.conductivity_range is not None:
+        (light, heavy), (poor, good) = board.density_range, board.conductivity_range
+        text += f" The uncertain rigs have {light:g} to {heavy:g} kg/m3 and {poor:g} to {good:g} W/(m K)."
+    if board.density < POROUS and board.limit_temperature_degC > plan.spec.limit:
+        (low, high), hours = DRYING
+        text += f" Dry the mold for {hours:g} h at {low:g} to {high:g} °C before the first tube: water would boil."
+    return [text]
 
 
 def running(fabrication: TubeFabrication) -> list[str]:
@@ -1106,16 +1154,20 @@ def running(fabrication: TubeFabrication) -> list[str]:
             "corrects it by a thermocouple.",
             "One pulse by hand: compare the current with the table. Then the whole schedule (heating/schedule.h).",
         ]
-    law = plan.feedback.law
+    law, cut = plan.feedback.law, cut_out(plan)
     return [
         "Wire as firmware/wiring.png, with the ratings of parts.pdf: they serve all tubes of a robot. "
         "Load firmware/tube_heater onto the board: each tube has its own.",
         f"Every day, main switch on, tube in the clamps: `tubeopt heat run {port} --test-cutout` pulses it. Pass: the "
-        f'reply "cut-out: opened after .. ms", at most {1e3 * cut_out(plan).budget:.0f} ms. Then the same with `--dry` '
-        'in place of it: no current. Pass: it ends as "done". The lamp test (wiring.png) is before the first tube.',
+        f'reply "cut-out: opened after .. ms", at most {math.ceil(1e3 * cut.delay)} ms; a slower contactor is not the '
+        f"planned one, and above {math.floor(1e3 * cut.budget)} ms the board refuses to heat. Then the same with "
+        '`--dry` in place of it: no current. Pass: it ends as "done". The lamp test (wiring.png) is before the first '
+        "tube.",
         f"`tubeopt heat run {port} --out .` in the folder of this sheet. Its start checks switch, cut-out and the "
         "current of one pulse.",
-        f"The board corrects the counts of the table, at most by {100 * law.share:.0f} %. Where the tube lags, the "
+        f"The board multiplies the counts of the table by {max(1 - law.share, 0):.1f} to "
+        f"{1 + float(law.largest(law.planned)[law.planned > 0].max()):.1f}, with at most "
+        f"{min(law.bare_count, MOST_COUNT - law.lost):.0f} of {COUNTS}. Where the tube lags, the "
         f"schedule waits up to {law.patience:g} s: the times below are the earliest.",
         'Use the tube only if the board reports "done".',
     ]
@@ -1128,9 +1180,16 @@ def _silent(plan: HeatingPlan) -> list[str]:
     silent, samples = round(plan.feedback.silent * plan.feedback.samples), plan.feedback.samples
     most = 100 * wilson(silent, samples)[1]
     return [
-        f"{silent} of {samples} uncertain rigs miss window or limit without a report (95 %: at most {most:.1f} %): "
-        "measure radius and Af of the tube."
+        f"{silent} of {samples} uncertain rigs miss window or limit without a report (95 %: at most {most:.1f} %). "
+        "Success is of the temperature alone: measure radius and Af of the tube, and compare them with your own "
+        "tolerances."
     ]
+
+
+def average_current(plan: HeatingPlan) -> float:
+    """Mean current (A) of the battery from switching on to the end of the hold."""
+    charge = float((plan.duty[:-1] / COUNTS * plan.current[:-1] * np.diff(plan.time)).sum())
+    return charge / plan.hold_end
 
 
 def safety(plan: HeatingPlan) -> list[str]:
@@ -1138,13 +1197,17 @@ def safety(plan: HeatingPlan) -> list[str]:
     cut, limit = cut_out(plan), plan.rig.circuit.current_limit
     return [
         f"{plan.peak_current:.0f} A flow while on: no rings or watches, tools with insulated handles, a fuse at the "
-        f"battery's plus, the stop button within reach. On average at most {plan.mean_current:.1f} A flow; the "
-        f"rig file allows {limit:g} A (current_limit_A).",
+        f"battery's plus, the stop button within reach. On average {average_current(plan):.1f} A flow, and "
+        f"{plan.mean_current:.1f} A in the strongest slot; the rig file allows {limit:g} A (current_limit_A).",
         f"The tube is at {plan.hottest:.0f} °C; clamps reach {plan.clamp_temperature.max():.0f} °C, the groove "
         f"{plan.mold_temperature.max():.0f} °C: wear gloves and goggles, and keep it away from anything that burns.",
-        f"Shorted switch: the cut-out must open within {1e3 * cut.budget:.0f} ms, or the tube passes 650 °C. With "
-        f"pulses of {plan.rig.circuit.pwm_frequency:.4g} Hz it takes {1e3 * cut.delay:.0f} ms: {cut.peak:.0f} °C "
-        "at most.",
+        f"Shorted switch: the cut-out must open within {math.floor(1e3 * cut.budget)} ms, or the tube passes 650 °C. "
+        f"With pulses of {plan.rig.circuit.pwm_frequency:.4g} Hz it takes {math.ceil(1e3 * cut.delay)} ms: "
+        f"{cut.peak:.0f} °C at most.",
+        "Heat under an extractor: a new board gives off steam and smoke. A lead-acid battery being charged gives off "
+        "hydrogen: never charge it beside the rig."
+        if plan.rig.battery.chemistry == LEAD_ACID
+        else "Heat under an extractor: a new board gives off steam and smoke.",
         "Main switch off before a hand touches clamps or mold. Quench with tongs in hand; water spits.",
         "No sensor leads this heating: without a thermometer a miss stays unseen."
         if plan.feedback is None
