@@ -166,9 +166,8 @@ def test_cold_ends_age_as_long_as_they_are_near_450_degC() -> None:
     half = len(end) // 2
     outside = np.flatnonzero(~plan.curved[:half])
     bend = 0.5 * plan.position[outside[-1] : outside[-1] + 2].sum()
-    # By interpolation between the points, not by cells.
     colder, hotter = np.interp([400.0, 500.0], end[outside], bend - plan.position[outside])
-    assert [near, far] == pytest.approx([hotter, colder], abs=1.2e-3)
+    assert [near, far] == pytest.approx([hotter, colder], abs=0.3e-3)
     assert far - near > 5e-3
     assert 10 < longest < plan.hold_end
     # Nothing is said of a tube whose ends are trimmed off, or trimmed before this stretch.

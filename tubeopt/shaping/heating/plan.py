@@ -421,9 +421,20 @@ def ageing(plan: HeatingPlan, kept: float = math.inf) -> Ageing:
     ages = outside[inside[-1]]
     if not len(ages):
         return Ageing(0.0, 0.0, 0.0)
+    end = plan.temperature[last]
+
+    def crossing(first: int, second: int) -> float:
+        """Place between two points, the second out of the range, where the range ends, m."""
+        limit = high if end[second] >= high else low
+        share = (limit - end[first]) / (end[second] - end[first])
+        return float(x[first] + share * (x[second] - x[first]))
+
+    # The hotter end towards the bend; the colder one towards the clamp.
+    inner, outer = int(ages[-1]), int(ages[0])
+    near = bend - (edges[inner + 1] if plan.curved[inner + 1] else crossing(inner, inner + 1))
+    far = bend - (edges[0] if outer == 0 else crossing(outer, outer - 1) if outer - 1 in outside else edges[outer])
     times = (inside[:-1] * np.diff(plan.time[: last + 1])[:, None]).sum(0)
-    near, far = bend - edges[ages[-1] + 1], min(bend - edges[ages[0]], kept)
-    return Ageing(float(near), float(far), float(times[inside[-1]].max()))
+    return Ageing(min(float(near), kept), min(float(far), kept), float(times[inside[-1]].max()))
 
 
 def ageing_remarks(plan: HeatingPlan) -> tuple[str, ...]:
