@@ -25,8 +25,8 @@ from .show.plots.loads import (
 from .show.plots.maps import plot_branch, plot_energy_maps, plot_stability_map
 from .show.plots.mold import plot_mandrel, plot_materials, plot_mold, plot_springback
 from .show.plots.path import plot_path, plot_snap
-from .show.plots.shape import plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
-from .show.plots.sheets import plot_fabrication_sheet, plot_hole_sheet, plot_setup_sheet
+from .show.plots.shape import plot_deployment, plot_equilibria, plot_shape, plot_shapes, plot_torsion, plot_torsions
+from .show.plots.sheets import plot_fabrication_sheet, plot_hole_sheet, plot_parts_sheet, plot_setup_sheet
 from .show.plots.snap_in_time import plot_snap_in_time
 from .show.plots.style import new_figure, picture, save_figure
 from .show.plots.trajectory import plot_arms, plot_checked, plot_section, plot_trajectory, save_film
@@ -43,6 +43,7 @@ __all__ = [
     "plot_branch",
     "plot_checked",
     "plot_commissioning",
+    "plot_deployment",
     "plot_drives",
     "plot_effects",
     "plot_energy_maps",
@@ -68,6 +69,7 @@ __all__ = [
     "plot_oven",
     "plot_pair_fractions",
     "plot_pair_places",
+    "plot_parts_sheet",
     "plot_path",
     "plot_payload",
     "plot_permutations",

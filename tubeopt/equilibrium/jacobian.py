@@ -71,7 +71,7 @@ def compiled_slopes(
     at: Equilibrium, sides: tuple[int, ...] | None = None, carriages: Carriages | None = None, **request: bool
 ) -> Slopes | None:
     """Derivatives of an equilibrium by the compiled kernel; None if it does not provide them, as for arms of length
-    zero.
+    zero and for polynomials of another degree than its own.
 
     Translations move towards `sides` (n,), 1 where not given, and tubes of one of the `carriages` together; what is
     `request` are flags of `slopes_compiled`.
@@ -79,10 +79,12 @@ def compiled_slopes(
     kernel = kernel_of(at.robot)
     if len(at.arc_length) < 2 or kernel is None or not kernel.differentiable:
         return None
+    mesh = discretisation_of(at)
+    if mesh != replace(DEFAULT_DISCRETISATION, refinement=mesh.refinement):
+        return None
     sides = sides or (1,) * at.robot.n_tubes
     moved = Moved(sides, at.robot.moving_together if carriages is None else carriages)
-    refinement = discretisation_of(at).refinement
-    return slopes_compiled(at.robot, at.rotations, at.translations, _start_at(at), moved, refinement, **request)
+    return slopes_compiled(at.robot, at.rotations, at.translations, _start_at(at), moved, mesh.refinement, **request)
 
 
 def _start_at(at: Equilibrium) -> Start:
