@@ -256,7 +256,8 @@ def test_a_robot_is_fabricated(run: Run, tmp_path: Path) -> None:
     for name in ("growth_mm", "extra_length_mm"):
         assert groove[name] == pytest.approx(plan[name], abs=0.01)
     assert groove["cold_length_mm"] == pytest.approx(plan["cold_end_mm"], abs=0.01)
-    assert (tmp_path / "tube_1" / "sheet.pdf").read_bytes().startswith(b"%PDF")
+    for sheet in ("sheet.pdf", "clamps.pdf"):
+        assert (tmp_path / "tube_1" / sheet).read_bytes().startswith(b"%PDF")
     rig = load_rig(tmp_path / "tube_1" / "rig.yaml")
     assert 1e3 * rig.mold.lead == pytest.approx(plan["lead_mm"])
     mold = {path.name for path in (tmp_path / "tube_1" / "mold").iterdir()}

@@ -14,6 +14,7 @@ import pytest
 from benchmarks.rig_thermal import Bench
 from tubeopt import Feedback, HeatingPlan, HeatingSpec, InputError, MoldSpec, Rig, Thermocouple, Tube, load_robot
 from tubeopt.shaping import Springback, tube_fabrication
+from tubeopt.shaping.clamp_body import clamp_body
 from tubeopt.shaping.heating.controller import HeatingLaw
 from tubeopt.shaping.heating.plan import left_in_mold
 from tubeopt.shaping.heating.robust import SHORTEST_BARE, longest_bare_tube
@@ -30,9 +31,10 @@ from tubeopt.shaping.heating.thermocouple import reading_error
 from tubeopt.shaping.materials import mold_material
 from tubeopt.shaping.mold.gcode import groove_gcode, read_gcode
 from tubeopt.shaping.mold.layout import open_area
-from tubeopt.shaping.mold.mold import plan_mold, plan_robot_mold
+from tubeopt.shaping.mold.mold import Clamp, clamp_corners, plan_mold, plan_robot_mold
 from tubeopt.shaping.mold.spec import ClampSpec, PlateSpec, VentSpec
 from tubeopt.shaping.tube_fabrication import TubeFabrication, drawn_vents, mold_spec_for, plan_tube, rig_as_drawn
+from tubeopt.show.plots.clamps import clamp_steps
 from tubeopt.show.plots.sheets import (
     groove_numbers,
     heating_numbers,
@@ -113,6 +115,31 @@ def test_the_jaws_of_a_clamp_spare_the_wall() -> None:
     (newton,) = re.findall(r"Press by at most (\d+) N", " ".join(mold_steps(plan_mold([TUBE]))))
     wall = 0.5 * (TUBE.outer_diameter - TUBE.inner_diameter)
     assert float(newton) / (2 * wall * groove.grip) == pytest.approx(100e6, rel=0.01)
+
+
+def test_a_clamp_is_drawn_with_the_mass_and_the_area_of_its_plan() -> None:
+    """Volume and area by a solid; the screws by moments about the shim; a small mass is told to be too small."""
+    solids = pytest.importorskip("manifold3d")
+    made = made_of(thesis_plan())
+    body = clamp_body(made.groove.tube, made.mold.spec.clamps, made.rig.clamps)
+    spec, (long, wide) = body.nose, (1e3 * body.length, 1e3 * body.width)
+    outline = 1e3 * clamp_corners(Clamp("distal", (0.0, 0.0), (1.0, 0.0), 0.0), spec)
+    nose = solids.CrossSection([outline]).extrude(12.0).translate((0.0, 0.0, 6.0))
+    block = solids.Manifold.cube((long, wide, 24.0)).translate((1e3 * body.grip, -wide / 2, 0.0))
+    solid = nose + block
+    assert solid.volume() * 2.7e-6 == pytest.approx(made.rig.clamps.mass, rel=1e-6)
+    assert 1e-6 * (solid.surface_area() - long * wide) == pytest.approx(body.area, rel=1e-6)
+    assert body.area == pytest.approx(made.rig.clamps.area, rel=0.1)
+    newton, rear = body.torque / (0.2 * 4e-3), body.grip + body.length - 2e-3
+    on_nose = 2 * newton * (rear - body.grip - 6e-3) / (rear - body.grip / 2)
+    assert on_nose == pytest.approx(100e6 * (TUBE.outer_diameter - TUBE.inner_diameter) * body.grip)
+    steps = " ".join(clamp_steps(made, body))
+    assert f"{1e3 * TUBE.outer_diameter / 2 - 0.1:.2f} mm deep" in steps
+    light = clamp_body(body.tube, spec, replace(made.rig.clamps, mass=5e-3))
+    assert light.mass > 20e-3
+    few = replace(made, rig=replace(made.rig, clamps=replace(made.rig.clamps, mass=5e-3)))
+    assert "Heavier than planned" in " ".join(clamp_steps(few, light))
+    assert "Heavier than planned" not in steps
 
 
 def test_the_sheet_of_an_unlikely_heating_says_do_not_run() -> None:

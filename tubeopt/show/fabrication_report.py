@@ -524,7 +524,8 @@ class FabricationReport(Report[Fabrication]):
         )
 
     def save(self, directory: Path) -> list[Path]:
-        """Write robot.yaml, fabrication.json, parts.pdf; in tube_N/ rig.yaml, sheet.pdf, passport.yaml and folders."""
+        """Write robot.yaml, fabrication.json, parts.pdf, and files and folders of each tube in tube_N."""
+        from .plots.clamps import plot_clamp_sheet
         from .plots.sheets import plot_fabrication_sheet, plot_parts_sheet
 
         save_robot(self.answer.robot, directory / "robot.yaml")
@@ -549,6 +550,9 @@ class FabricationReport(Report[Fabrication]):
                 made, folder / "sheet.pdf", title=title, success=success, faults=faults, remarks=notes
             )
             paths.append(folder / "sheet.pdf")
+            if part.fabrication.mold.spec.material.electrically_insulating:
+                paths.append(folder / "clamps.pdf")
+                plot_clamp_sheet(part.fabrication, paths[-1], title=title)
             tube, groove = part.fabrication.tube, part.fabrication.groove
             if not tube.pieces:  # one radius is that of one arc
                 name, drawn = self.answer.robot.name or "", 1 / abs(tube.curvature)

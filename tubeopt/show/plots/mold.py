@@ -11,6 +11,7 @@ import numpy as np
 
 from ...files.units import TO_MILLI, TO_MM
 from ...robots.tubes import Tube
+from ...shaping.clamp_body import HALF_BODY, HALF_NOSE
 from ...shaping.mold.files import draw_plate, halves
 from ...shaping.mold.gcode import slot_paths
 from ...shaping.mold.groove import Arc, outline_of
@@ -138,8 +139,8 @@ def _draw_clamps_and_vents(axes: Axes, groove: Groove, mold: Mold) -> None:
 BROKEN_LENGTH = 26.0
 """Length at which a side view draws a mold, mm, and two thirds of it what sticks out behind a clamp."""
 
-JAW = 6.0
-"""Height at which a side view draws each half of a clamp, mm."""
+JAW, NOSE = HALF_BODY * TO_MM, HALF_NOSE * TO_MM
+"""Heights of each half of a clamp's body and nose, mm."""
 
 
 def draw_side(axes: Axes, mold: Mold) -> None:
@@ -192,22 +193,20 @@ def draw_side(axes: Axes, mold: Mold) -> None:
     measure(0.4 * BROKEN_LENGTH, 0.0, axis, f"axis {axis:.2f}")
     axes.text(1.0, under + base + 0.5 * lid, "lid", fontsize=5.5, va="center")
     axes.text(1.0, under + 0.5 * base, "base", fontsize=5.5, va="center")
-    # One clamp from its face: half-round jaws around tube and core wire, the tube enlarged.
+    # One clamp from its face: round jaws around tube and core wire, the tube enlarged.
     x, y, scale = 0.5 * BROKEN_LENGTH, -17.0, 2.5
-    box(x - 7.5, y, 15.0, JAW, CLAMP)
-    box(x - 7.5, y - JAW, 15.0, JAW, CLAMP)
+    box(x - 7.5, y, 15.0, NOSE, CLAMP)
+    box(x - 7.5, y - NOSE, 15.0, NOSE, CLAMP)
     disk(axes, np.array([x, y]), scale * diameter / 2, fc="white", ec=colour, lw=1.4, zorder=4)
     bore = groove.tube.inner_diameter * TO_MM
     if bore:
         disk(axes, np.array([x, y]), 0.85 * scale * bore / 2, fc=FAINT, ec=INK, lw=0.4, zorder=5)
-    for side in (-5.0, 5.0):
-        axes.plot([x + side] * 2, [y - JAW - 1, y + JAW + 1], color=INK, lw=0.9, ls=(0, (4, 1.5, 1, 1.5)), zorder=4)
-    axes.text(x - 9.0, y, f"jaws seen from\nthe mold, {JAW:g} high\neach; tube enlarged", fontsize=5.5, ha="right",
+    axes.text(x - 9.0, y, f"jaws seen from\nthe mold, {NOSE:g} high\neach; tube enlarged", fontsize=5.5, ha="right",
               va="center", linespacing=1.1)  # fmt: skip
-    axes.text(x + 9.0, y, "half-round, core\nwire in the bore,\ntwo M4 screws", fontsize=5.5, ha="left", va="center",
+    axes.text(x + 9.0, y, "round grooves,\ncore wire in\nthe bore", fontsize=5.5, ha="left", va="center",
               linespacing=1.1)  # fmt: skip
     axes.plot([outer, inner + 6.0], [0.0, 0.0], color=INK, lw=0.9)
-    axes.set(xlim=(outer - 1, inner + 9), ylim=(y - JAW - 3, axis + max(lid, JAW) + 8.0), aspect="equal")
+    axes.set(xlim=(outer - 1, inner + 9), ylim=(y - NOSE - 3, axis + max(lid, JAW) + 8.0), aspect="equal")
     axes.set_axis_off()
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
+from ...shaping.clamp_body import CRUSHING, OPEN, largest_force
 from ...shaping.firmware.boards import Part, cable_of, fuse_of, root_mean_square
 from ...shaping.firmware.sketch_files import CHARGES
 from ...shaping.heating.controller import MOST_COUNT, MOST_EXCESS, wilson
@@ -73,7 +74,7 @@ ROW = 3.9
 BETWEEN = 10.0
 """Space between the drawings of base and lid, mm."""
 
-TOOL_COLUMNS = 0.0, 17.0, 49.0, 60.0, 71.0, 83.0, 95.0, 104.0, 114.0, 138.0
+TOOL_COLUMNS = 0.0, 17.0, 47.0, 57.0, 68.0, 82.0, 95.0, 104.0, 114.0, 137.0
 """Columns of the table of tools, mm."""
 
 STEP_SIZES = 7.5, 6.8, 6.2, 5.6, 5.0
@@ -127,7 +128,7 @@ def _write_tools(figure: Figure, top: float, rows: Sequence[Sequence[str]]) -> N
             write_at(figure, EDGE + x, top - ROW * k, text, weight="normal" if k else "bold")
 
 
-def _write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], remarks: Sequence[str]) -> None:
+def write_steps(figure: Figure, x: float, top: float, steps: Sequence[str], remarks: Sequence[str]) -> None:
     """Write numbered steps, and the remarks below them."""
     marked = [*((f"{k}.", step) for k, step in enumerate(steps, start=1)), *(("!", remark) for remark in remarks)]
     for size in STEP_SIZES:
@@ -165,7 +166,7 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
         elif part.body.slot > part.width:
             write_at(figure, EDGE, 60.0, "section of the slot, the tube on its floor (mm)", weight="bold")
             draw_slot(figure.add_axes((EDGE / A4[0], 0.05, 60.0 / A4[0], 42.0 / A4[1])), part)
-        _write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
+        write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
         return figure
     figure = new_sheet(f"Set-up sheet{': ' + title if title else ''}")
     shown, tools = part.grooves[:MAX_COLUMNS], tool_rows(part)
@@ -225,7 +226,7 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
         numbers = ", ".join(str(groove.number) for groove in part.grooves[len(shown) :])
         write_at(figure, columns[0], lowest + 0.7 * ROW, f"tubes {numbers}: see mold.json")
     _write_tools(figure, lowest, tools)
-    _write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
+    write_steps(figure, 158.0, top, mold_steps(part), part.remarks)
     if any(remark.startswith("do not") for remark in part.remarks):
         write_at(figure, 190.0, A4[1] - EDGE, "DO NOT USE IT: see the lines with !", size=11, weight="bold", color=STOP)
     return figure
@@ -507,9 +508,6 @@ LEAF = 1.0
 CORE_PLAY = 0.05e-3
 """Play of a core wire in the bore of a tube, m (assumed)."""
 
-CRUSHING = 100e6
-"""Largest stress by the jaws in a tube's wall, Pa: a quarter of where nitinol transforms (assumed)."""
-
 WASHER = 1.5
 """Thickness of a slotted washer, mm: steel then bends by less than 50 MPa over the hole of a latch at the torque of a
 board."""
@@ -630,8 +628,7 @@ def _jaws_text(mold: Mold) -> str:
     groove = mold.grooves[0]
     diameter, behind = groove.tube.outer_diameter, behind_clamp(groove)
     bore = (groove.tube.inner_diameter - CORE_PLAY) * TO_MM
-    # Half-round jaws press from outside, as on a pipe: stress p D / (2 t) with p = F / (D L).
-    force = CRUSHING * (diameter - groove.tube.inner_diameter) * groove.grip
+    force = largest_force(groove.tube, groove.grip)
     through = (
         f" {behind * TO_MM:.0f} mm of tube stick out behind the proximal clamp: a through hole, and a "
         "sleeve over the live tube."
@@ -647,11 +644,13 @@ def _jaws_text(mold: Mold) -> str:
         else ""
     )
     return (
-        f"Jaws: two halves with a half-round groove of {diameter * TO_MM:g} mm; flat jaws crush the tube. Its axis is "
+        f"Jaws: two halves with a round groove of {diameter * TO_MM:g} mm, "
+        f"{(0.5 * diameter - OPEN) * TO_MM:.2f} deep in each: closed, they are {2 * OPEN * TO_MM:g} mm apart; flat "
+        "jaws crush the tube. `tubeopt fabricate` draws clamps (clamps.pdf). Their axis is "
         f"{below:.2f} mm below the upper face of the base: measure the plate; nominally "
         f"{axis_height(mold) * TO_MM:.2f} mm above its lower face. The base lies on strips of "
         f"{strips(mold):g} mm, clear of the bolts' heads. Supports insulate: the mold's board. "
-        f"Press by at most {force:.0f} N (two M4 screws: {math.floor(10 * force * 4e-3) / 100:g} N m each, 0.2 F d). "
+        f"Press by at most {force:.0f} N (a screw gives T / (0.2 d)). "
         f"That is {pressure / 1e6:.0f} MPa on the tube, {CRUSHING / 1e6:.0f} MPa in its wall.{core}{through}"
     )
 
