@@ -24,6 +24,7 @@ from tubeopt.shaping.mold.mandrel import (
     mandrel_gcode,
     mandrel_part,
     slot_depths,
+    slot_wall,
     solid_off_curve,
 )
 from tubeopt.shaping.mold.mold import chosen_tubes
@@ -235,7 +236,8 @@ def test_sheet_and_solid_of_a_block_agree_on_its_slot(made: tuple[Tube, Mandrel,
     if isinstance(mandrel.body, Cylinder):
         return
     mesh, w, height = trimesh.load_mesh(out / "mandrel.stl"), mandrel.winding, mandrel.body.size[2]
-    points = w.points[2:-2:5]
+    near = [0.95 * w.points[k] + 0.05 * w.points[k + step] for k, step in ((0, 1), (-1, -1))]
+    points = np.vstack([w.points[2:-2:5], near])
     above = np.column_stack([1e3 * points[:, :2], np.full(len(points), 1e3 * height + 1)])
     hits, rays, _ = mesh.ray.intersects_location(above, np.tile([0.0, 0.0, -1.0], (len(above), 1)))
     floors = [1e3 * height - hits[rays == k, 2].max() for k in range(len(points))]
@@ -250,6 +252,27 @@ def test_sheet_and_solid_of_a_block_agree_on_its_slot(made: tuple[Tube, Mandrel,
     assert [end.upper for end in rising] == [False, True]
     notched = any(end.notch is not None for end in exits_of(mandrel))
     assert ("with a notch" in " ".join(mandrel_steps(mandrel))) == notched
+
+
+def test_no_end_of_a_block_crosses_another_turn_or_leaves_by_its_bottom() -> None:
+    """Brute force over all points in the block, seen from above: a lead lies at least a wall from other turns."""
+    mandrel = plan_mandrel(load_robot("example_pieces").tubes[0])
+    w, body = mandrel.winding, mandrel.body
+    assert isinstance(body, Block)
+    inside = w.points[:, 2] <= body.size[2]
+    points, s = w.points[inside, :2], w.arc_length[inside]
+    # Along the curve three slots on, only other turns are near.
+    far = np.abs(s[:, None] - s) > 3 * body.slot
+    apart = np.where(far, np.linalg.norm(points[:, None] - points, axis=2), np.inf).min()
+    assert apart >= 0.5 * (body.slot + mandrel.width) + mandrel.spec.groove.wall - 1e-4
+    assert slot_wall(body, w) == pytest.approx(apart - body.slot, abs=1e-4)
+    assert w.points[:, 2].min() >= 0.5 * mandrel.width + mandrel.spec.groove.floor - 1e-9
+    # The straight end before the bend, as long as its tube's, by its slope alone.
+    steep = w.tangents[w.bend][0][2]
+    beneath = 0.5 * mandrel.tube.outer_diameter + mandrel.tube.straight_length * steep - w.points[w.bend][0][2]
+    assert beneath == pytest.approx(-mandrel.envelope[0][2], abs=1e-6)
+    (said,) = re.findall(r"reaches (\d+) mm below the block", " ".join(mandrel_steps(mandrel)))
+    assert float(said) == pytest.approx(1e3 * beneath, abs=0.5)
 
 
 def test_a_tube_is_lowered_into_the_slot_of_a_block(made: tuple[Tube, Mandrel, Path]) -> None:

@@ -13,7 +13,7 @@ import tubeopt
 from tubeopt.constants import STEFAN_BOLTZMANN, ZERO_CELSIUS
 from tubeopt.errors import InputError
 from tubeopt.shaping import CALCIUM_SILICATE, STEEL
-from tubeopt.shaping.heating.oven import CELLS, POINTS, Medium, MoldBlock, Oven, OvenStatus, plan_oven
+from tubeopt.shaping.heating.oven import CELLS, POINTS, Medium, MoldBlock, Oven, OvenStatus, plan_oven, warming
 from tubeopt.shaping.heating.rig import MoldBed
 
 TUBE = tubeopt.load_rig("thesis_steel").tube
@@ -160,6 +160,30 @@ def test_tube_lags_behind_groove_by_its_time_constant():
     expected = 800.0 - 500.0 * np.exp(-time / block.lag)
     assert states[:, cells] == pytest.approx(expected, abs=0.2)
     assert 0.01 < block.lag < 3.0
+
+
+def test_a_small_block_of_metal_warms_as_one_temperature():
+    """Scalar balance of convection and radiation on all faces of a cuboid, whose conduction is far quicker."""
+    sides, wire = (40e-3, 30e-3, 20e-3), tubeopt.Tube(1e-3, 0.8e-3, 0.0, 4e-3, 0.0)
+    oven = Oven(
+        525 + ZERO_CELSIUS, method="furnace", mold=MoldBed(STEEL, width=sides[1], thickness=sides[2]), mold_length=40e-3
+    )
+    area = 2 * (sides[0] * sides[1] + sides[1] * sides[2] + sides[0] * sides[2])
+
+    def rate(_, T):
+        flux = 10.0 * (oven.set_temperature - T) + STEEL.emissivity * STEFAN_BOLTZMANN * (
+            oven.set_temperature**4 - T**4
+        )
+        capacity = STEEL.heat_capacity * (1 + STEEL.heat_capacity_slope * (T - STEEL.reference_temperature))
+        return area * flux / (STEEL.density * np.prod(sides) * capacity)
+
+    goals = np.array([400.0, 500.0]) + ZERO_CELSIUS
+    T = scipy.integrate.solve_ivp(rate, (0, 7200), [oven.ambient], rtol=1e-8, dense_output=True)
+    times = [scipy.optimize.brentq(lambda t, goal=goal: T.sol(t)[0] - goal, 1.0, 7200.0) for goal in goals]
+    warm = warming(oven, wire, goals[1])
+    assert warm.time == pytest.approx(times[1], rel=0.02)
+    assert warm.ageing == pytest.approx(times[1] - times[0], rel=0.02)
+    assert warming(oven, wire, 530 + ZERO_CELSIUS).time == math.inf
 
 
 def test_radius_follows_from_both_expansions():

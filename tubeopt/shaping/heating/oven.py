@@ -368,6 +368,34 @@ class MoldBlock:
         return np.asarray(mold[:, self.surface_cell] @ weight)
 
 
+class Warming(NamedTuple):
+    """Warming of a block in a furnace."""
+
+    time: float
+    """Time until its coldest point is at the wanted temperature, s; inf if it is not within half a day."""
+    ageing: float
+    """Longest time of a point in the middle between 400 and 500 degC, s."""
+
+
+def warming(oven: Oven, tube: Tube, goal: float) -> Warming:
+    """Warming of a block that is put into a hot oven, until the tube in its middle is at the `goal`, K.
+
+    Args:
+        oven: block as a mold of one material, with its length.
+        tube: straight one in the middle of the block.
+        goal: temperature, K.
+    """
+    block = MoldBlock(oven, tube)
+    cells, medium = block.volume.size, Medium(oven.set_temperature, oven.transfer_coefficient, oven.emissivity)
+    start = np.full(cells + POINTS, oven.ambient)
+    time, states = block.run(start, medium, LONGEST, lambda points: float(points.min()) - goal)
+    points = states[:, cells:]
+    low, high = (value + ZERO_CELSIUS for value in AGEING_DEGC)
+    passed = [np.interp((low, high), course, time) for course in np.maximum.accumulate(points, axis=0).T]
+    reached = points[-1].min() >= goal - KELVIN
+    return Warming(float(time[-1]) if reached else math.inf, max(float(end - begin) for begin, end in passed))
+
+
 def arc_points(tube: Tube) -> Array:
     """(POINTS, 2) points of the curved part in the middle plane, from the middle of the plates, m.
 

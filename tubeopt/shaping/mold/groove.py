@@ -282,18 +282,23 @@ def crosses_itself(curve: Centreline, width: float) -> bool:
 
 
 def meets_itself(points: Array, heading: Array, distance: float) -> bool:
-    """True for a planar curve of points (N, 2) and headings (N,) with two points nearer than `distance` (m).
+    """True for a planar curve of points (N, 2) and headings (N,) with turns nearer than `distance` (m)."""
+    return turn_distance(points, heading) < distance
+
+
+def turn_distance(points: Array, heading: Array) -> float:
+    """Smallest distance (m) between turns of a planar curve of points (N, 2) and headings (N,); inf for a single one.
 
     Only points between which the heading changes by more than a quarter turn are compared: along a bend, however tight,
     neighbours are always near.
     """
+    least = math.inf
     if np.ptp(heading) <= math.pi / 2:
-        return False
+        return least
     for k in range(len(points) - 1):
         later = np.maximum.accumulate(heading[k:]) - np.minimum.accumulate(heading[k:]) > math.pi / 2
-        if (((points[k:][later] - points[k]) ** 2).sum(1) < distance**2).any():
-            return True
-    return False
+        least = min(least, float(np.linalg.norm(points[k:][later] - points[k], axis=1).min(initial=math.inf)))
+    return least
 
 
 def polygon(curve: Centreline, width: float, sagitta: float = SAGITTA) -> Array:

@@ -42,8 +42,7 @@ from .checks import (
 )
 from .files import Part, manifold, trimesh, write_parts
 from .gcode import Stage, check_duration, milled, pass_depths
-from .groove import SAGITTA, distance_to_edge, meets_itself
-from .heat import ColdEnd, cold_end
+from .groove import SAGITTA, distance_to_edge, meets_itself, turn_distance
 from .spec import MoldSpec
 from .springback import Springback, bend_direction, tube_from_mold
 
@@ -215,11 +214,6 @@ class Mandrel(Displayed):
     """Centreline of the groove in it, leads included."""
     width: Annotated[float, unit("mm"), form(".4g", label="groove, width"), "width of the groove"]
     """Also the diameter of its round bottom."""
-    cold: ColdEnd
-    """Cold end of the tube; its length is that of the specification, if given."""
-    free_length: Annotated[
-        float, unit("mm"), form(".4g", label="tube between the clamps"), "length of tube between the clamps"
-    ]
     checks: tuple[Check, ...]
     """Checks with numbers and limits."""
     remarks: Annotated[tuple[str, ...], "remarks for making and using it"]
@@ -242,8 +236,25 @@ class Mandrel(Displayed):
     @property
     def stock_length(self) -> float:
         """Length of straight tube to cut, m."""
-        lead = (self.free_length - self.held.curved_length) / 2 + self.spec.clamps.grip
-        return max(lead, self.tube.straight_length) + self.held.curved_length + lead
+        before, after = self.tube_leads
+        return before + self.held.curved_length + after
+
+    @property
+    def tube_leads(self) -> tuple[float, float]:
+        """Lengths (m) of straight tube before and after the bend: in the groove, and as much more as clamps grip."""
+        s, grip = self.winding.arc_length, self.spec.clamps.grip
+        before, after = grip - s[0], s[-1] - s[self.winding.bend][-1] + grip
+        return max(float(before), self.tube.straight_length), float(after)
+
+    @property
+    def envelope(self) -> tuple[Array, Array]:
+        """Smallest and largest coordinates (3,) of body and tube with its straight ends, m."""
+        points, radius = self.winding.with_leads(*self.tube_leads).points, self.tube.outer_diameter / 2
+        body, low, high = self.body, points.min(axis=0) - radius, points.max(axis=0) + radius
+        if isinstance(body, Block):
+            return np.minimum(low, 0.0), np.maximum(high, body.size)
+        ends = np.array([(0.0, -body.radius, -body.radius), (body.length, body.radius, body.radius)])
+        return np.minimum(low, ends[0]), np.maximum(high, ends[1])
 
 
 def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -> Mandrel:
@@ -262,7 +273,7 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     instance("tube", tube, Tube)
     if bend_direction(tube) is not None:
         raise InputError(f"tube {number} is planar; use a plate, not a mandrel")
-    held, cold = as_held(number, tube, spec), cold_end(tube, spec.material, spec.heat).of_length(spec.cold_length)
+    held = as_held(number, tube, spec)
     process = "wound into the groove"
     checks = [strain_check(number, held, spec, process, f"when it is {process}", "set it in steps")]
     refuse_failed(checks)
@@ -283,11 +294,11 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
     else:
         # The middle of the limits: a print shrinks, and deviates to both sides.
         width = tube.outer_diameter + 0.5 * (spec.groove.clearance + spec.groove.most_clearance)
-        lead = max(spec.clamps.least_lead, cold.length - spec.clamps.gap)
-        body, winding = _block(number, held, lead, width, spec)
+        body, winding = _block(number, held, spec.clamps.least_lead, width, spec)
+        wall = slot_wall(body, winding)
+        if wall < spec.groove.wall:
+            tool_remarks.append(f"the wall between turns of the slot is {wall * 1e3:.2f} mm thick where it is thinnest")
     refuse_failed(checks)
-    leads = winding.arc_length[-1] - winding.arc_length[0] - held.curved_length
-    free = held.curved_length + max(leads + 2 * spec.clamps.gap, 2 * cold.length)
     return Mandrel(
         number=number,
         tube=tube,
@@ -296,8 +307,6 @@ def plan_mandrel(tube: Tube, mold: MoldSpec | None = None, *, number: int = 1) -
         body=body,
         winding=winding,
         width=width,
-        cold=cold,
-        free_length=float(free),
         checks=tuple(checks),
         remarks=(*_remarks(tube, spec, turned), *tool_remarks, *material_remarks(spec)),
     )
@@ -318,6 +327,20 @@ def exits_of(mandrel: Mandrel) -> tuple[Exit, Exit]:
         notch = way[[int(np.argmax(lifted)), edge], :2] if lifted[:edge].any() else None
         found.append(Exit(way[int(np.argmax(above)) if upper else edge], upper, notch))
     return found[0], found[1]
+
+
+def slot_wall(body: Block, winding: Winding) -> float:
+    """Least thickness (m) of the walls between turns of the slot of a printed block; inf for a single turn."""
+    # An end that rises out may pass above other turns.
+    inside = winding.points[:, 2] <= body.size[2]
+    points, tangents = winding.points[inside], winding.tangents[inside]
+    return turn_distance(points[:, :2], np.unwrap(np.arctan2(tangents[:, 1], tangents[:, 0]))) - body.slot
+
+
+def deepest_point(mandrel: Mandrel) -> Array:
+    """Point (3,) of the bend that is deepest in a printed block, m."""
+    points = mandrel.winding.points[mandrel.winding.bend]
+    return np.asarray(points[int(points[:, 2].argmin())])
 
 
 def slot_depths(mandrel: Mandrel) -> tuple[float, float]:
@@ -388,7 +411,17 @@ def _wall_checks(
 
 
 def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -> tuple[Block, Winding]:
-    """Smallest block with the widest slot, over the open sides that make the whole groove accessible."""
+    """Smallest block with the widest slot, over the open sides that make the whole groove accessible.
+
+    The height under the tube's straight ends counts, too.
+    """
+    ends = max(held.straight_length, lead + spec.clamps.grip), lead + spec.clamps.grip
+
+    def space(block: tuple[Block, Winding]) -> float:
+        body, winding = block
+        beneath = min(0.0, float(winding.with_leads(*ends).points[:, 2].min()))
+        return body.size[0] * body.size[1] * (body.size[2] - beneath)
+
     bend = bend_in_space(held).with_leads(lead, lead)
     flat = [up for up in _sides(bend.points, BLOCK_SIDES) if np.abs(bend.tangents @ up).max() <= BLOCK_SLOPE]
     # Without room for a wider one the slot is as wide as the groove.
@@ -396,8 +429,10 @@ def _block(number: int, held: Tube, lead: float, width: float, spec: MoldSpec) -
         # A wall stays between a slot and the groove beside it, and no slot cuts its own inner wall.
         apart = max(slot, (slot + width) / 2 + spec.groove.wall)
         blocks = [_block_below(bend, up, lead, (width, slot), spec) for up in flat if not _overlaps(bend, up, apart)]
+        # Leads are longer than those of the bend alone: to the sides of the block.
+        blocks = [(body, winding) for body, winding in blocks if slot_wall(body, winding) >= apart - slot]
         if blocks:
-            return min(blocks, key=lambda block: math.prod(block[0].size))
+            return min(blocks, key=space)
     raise InputError(
         f"the groove of tube {number} is not accessible from any side of a block. Use a "
         f"helix of at least {(width / 2 + spec.groove.floor) * 1e3:.3g} mm radius on a "
@@ -425,10 +460,11 @@ def _block_below(
     for k, sign in ((0, -1), (-1, 1)):
         end, outward = turned.points[k, :2] - low[:2], sign * turned.tangents[k, :2]
         extra.append(max(distance_to_edge(end, outward, sides), 0.0))
-    low[2] -= width / 2 + spec.groove.floor
+    winding = turned.with_leads(lead + extra[0], lead + extra[1])
+    # A lead that falls towards its side leaves a floor, too.
+    low[2] = winding.points[:, 2].min() - width / 2 - spec.groove.floor
     high[2] += width / 2
-    size = high - low
-    winding = turned.moved(np.eye(3), -low).with_leads(lead + extra[0], lead + extra[1])
+    size, winding = high - low, winding.moved(np.eye(3), -low)
     return Block((float(size[0]), float(size[1]), float(size[2])), slot), winding
 
 
@@ -466,7 +502,6 @@ def _remarks(tube: Tube, spec: MoldSpec, turned: bool) -> list[str]:
             "cut with a ball-nose end mill. A is the rotation of the tool about the work. Reverse its sign if your "
             "machine uses the rotation of the chuck; otherwise the helix has the opposite hand"
         )
-        remarks.append("the straight ends lie in air, which cools less than a mold: cold ends may be longer")
     else:
         remarks.append("print it from a material for the set temperature: ceramic or metal")
     return [*remarks, *stiffness_remarks(tube), *mold_remarks(tube.material, spec.heat.set_temperature)]

@@ -11,16 +11,18 @@ import numpy as np
 
 from ...constants import ZERO_CELSIUS
 from ...files.units import TO_MM
+from ...robots.tubes import Tube
 from ...shaping.clamp_body import CRUSHING, OPEN, largest_force
 from ...shaping.firmware.boards import Part, cable_of, fuse_of, root_mean_square
 from ...shaping.firmware.sketch_files import CHARGES
 from ...shaping.heating.controller import MOST_COUNT, MOST_EXCESS, wilson
 from ...shaping.heating.cutout import cut_out
+from ...shaping.heating.oven import Oven, warming
 from ...shaping.heating.plan import AGEING_DEGC, LEFT, SHORTEST_AGEING, HeatingPlan, LeftInMold, left_in_mold
-from ...shaping.heating.rig import COUNTS, LEAD_ACID
+from ...shaping.heating.rig import COUNTS, LEAD_ACID, MoldBed
 from ...shaping.heating.sensors import Thermocouple
 from ...shaping.heating.thermocouple import FILM
-from ...shaping.materials import MoldMaterial
+from ...shaping.materials import GLASS_MICA, MoldMaterial
 from ...shaping.mold.checks import THROUGH, fit_tolerance
 from ...shaping.mold.files import halves
 from ...shaping.mold.gcode import (
@@ -40,7 +42,18 @@ from ...shaping.mold.gcode import (
 )
 from ...shaping.mold.groove import Arc
 from ...shaping.mold.layout import Hole
-from ...shaping.mold.mandrel import SHANK, Block, Cylinder, Mandrel, exits_of, mandrel_cutter, mandrel_time, slot_depths
+from ...shaping.mold.mandrel import (
+    SHANK,
+    Block,
+    Cylinder,
+    Mandrel,
+    deepest_point,
+    exits_of,
+    mandrel_cutter,
+    mandrel_time,
+    slot_depths,
+    slot_wall,
+)
 from ...shaping.mold.mold import PARTS, Groove, Mold, clamp_corners
 from ...shaping.mold.spec import MoldSpec
 from ...shaping.tube_fabrication import TubeFabrication
@@ -164,8 +177,8 @@ def plot_setup_sheet(part: Mold | Mandrel, *, title: str = "") -> Figure:
             rows = (TOOL_HEADING, _tool_row("mandrel.nc", mandrel_cutter(part), part.width, minutes))
             _write_tools(figure, top - (len(facts) + 1) * ROW, rows)
         elif part.body.slot > part.width:
-            write_at(figure, EDGE, 60.0, "section of the slot, the tube on its floor (mm)", weight="bold")
-            draw_slot(figure.add_axes((EDGE / A4[0], 0.05, 60.0 / A4[0], 42.0 / A4[1])), part)
+            write_at(figure, EDGE, 54.0, "section of the slot, the tube on its floor (mm)", weight="bold")
+            draw_slot(figure.add_axes((EDGE / A4[0], 0.05, 60.0 / A4[0], 38.0 / A4[1])), part)
         write_steps(figure, 150.0, top, mandrel_steps(part), part.remarks)
         return figure
     figure = new_sheet(f"Set-up sheet{': ' + title if title else ''}")
@@ -786,9 +799,11 @@ def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
         numbers["slot above the groove, width / depth of its floor"] = (
             f"{body.slot * TO_MM:.3g} / {least:.0f} to {greatest:.0f}"
         )
-        numbers["height with the straight ends"] = f"{overall_height(mandrel) * TO_MM:.0f}"
-    lead = (mandrel.free_length - held.curved_length) / 2 + mandrel.spec.clamps.grip
-    start = max(lead, tube.straight_length)
+        wall = slot_wall(body, mandrel.winding)
+        numbers["least wall between turns of the slot"] = f"{wall * TO_MM:.1f}" if math.isfinite(wall) else "one turn"
+    low, high = mandrel.envelope
+    numbers["with the straight ends, X / Y / Z"] = " / ".join(f"{size * TO_MM:.0f}" for size in high - low)
+    start = mandrel.tube_leads[0]
     end = start + held.curved_length
     numbers |= {
         "groove, width, round below": f"{mandrel.width * TO_MM:.3f}",
@@ -829,11 +844,11 @@ def mandrel_steps(mandrel: Mandrel) -> list[str]:
         fixing = f"ceramic cord pressed into the slot by the strip, and {_lid_text(mandrel)}"
     return [
         *steps,
-        f"Cut the tube and mark the bend. Wind it into the groove, marks on the ends of the bend; fix it by {fixing}, "
-        "and clamp one end only: the other must be free to grow.",
-        f"Set it in a furnace, mandrel and all: the tube at {heat.set_temperature - ZERO_CELSIUS:.0f} ± "
-        f"{heat.tolerance:.0f} °C for {heat.hold_time:g} s, counted from when a thermocouple on the deepest part of "
-        "the tube is there. It warms with the mandrel, for many minutes, and ages while it warms. "
+        f"Cut the tube and mark the bend. Wind it into the groove, marks on the ends of the bend; fix it by {fixing}. "
+        f"No clamps: both ends are free to grow.{_stand_text(mandrel)}",
+        f"Set it in a furnace at {heat.set_temperature - ZERO_CELSIUS:.0f} °C, mandrel and all: the tube at "
+        f"{heat.set_temperature - ZERO_CELSIUS:.0f} ± {heat.tolerance:.0f} °C for {heat.hold_time:g} s, counted from "
+        f"when a thermocouple is there. {_thermocouple_text(mandrel)} {warming_text(mandrel)} "
         f"{mandrel_cooling(mandrel)}. No heating by current is planned: the heat that a mandrel takes off a "
         "tube is not known.",
         "Trim the ends. Measure the tube; `tubeopt mold mandrel` prints the expected tube.",
@@ -867,12 +882,57 @@ def _slot_text(mandrel: Mandrel) -> str:
     )
 
 
-def overall_height(mandrel: Mandrel) -> float:
-    """Height (m) that a printed mandrel with the straight ends of its tube takes in a furnace."""
-    w, straight = mandrel.winding, mandrel.tube.straight_length
-    lead = (mandrel.free_length - mandrel.held.curved_length) / 2 + mandrel.spec.clamps.grip
-    z = w.with_leads(max(lead, straight), lead).points[:, 2]
-    return float(max(z.max(), mandrel.body.size[2] if isinstance(mandrel.body, Block) else 0.0) - min(z.min(), 0.0))
+STAND = 5.0
+"""Distance of a straight end from the shelf of a furnace, mm."""
+
+
+def _stand_text(mandrel: Mandrel) -> str:
+    """Stand under a printed mandrel whose tube sticks out below it, as text; empty without need."""
+    beneath = -float(mandrel.envelope[0][2]) * TO_MM
+    if not isinstance(mandrel.body, Block) or beneath < 0.01:
+        return ""
+    return (
+        f" An end of the tube reaches {beneath:.0f} mm below the block: put the block on a stand of "
+        f"{math.ceil(beneath + STAND)} mm or more, or over the edge of the shelf."
+    )
+
+
+def _thermocouple_text(mandrel: Mandrel) -> str:
+    """Place of the thermocouple of a mandrel, as text."""
+    if isinstance(mandrel.body, Cylinder):
+        return "Its junction is wired to the tube in the middle of the bend."
+    x, y, _ = deepest_point(mandrel) * TO_MM
+    return (
+        f"Its junction is on the deepest part of the tube (X {x:.0f}, Y {y:.0f}), under the cord. Its legs leave "
+        "by the slot, in a sleeve."
+    )
+
+
+def warming_text(mandrel: Mandrel) -> str:
+    """Time that a mandrel takes to warm in a hot furnace, and what it does to the tube, as text."""
+    heat, body, material = mandrel.spec.heat, mandrel.body, mandrel.spec.material
+    # No board is printed: a dense ceramic is the nearest whose data are known.
+    material = material if isinstance(body, Cylinder) else GLASS_MICA
+    sides = body.size if isinstance(body, Block) else (body.length, *2 * (math.sqrt(math.pi) * body.radius,))
+    long, wide, tall = sorted(sides, reverse=True)
+    oven = Oven(
+        heat.set_temperature,
+        method="furnace",
+        mold=MoldBed(material=material, width=wide, thickness=tall),
+        mold_length=long,
+    )
+    straight = Tube(mandrel.tube.outer_diameter, mandrel.tube.inner_diameter, 0.0, 0.1 * long, 0.0)
+    warm = warming(oven, straight, heat.set_temperature - heat.tolerance)
+    name, minutes = material.name.replace("_", " "), warm.ageing / 60
+    ages = (
+        f"longer than the shortest published ageing ({SHORTEST_AGEING / 60:g} min): its Af rises, measure it."
+        if warm.ageing > SHORTEST_AGEING
+        else f"less than the shortest published ageing ({SHORTEST_AGEING / 60:g} min)."
+    )
+    return (
+        f"A full block of {name}, put cold into still air of that temperature, takes about {warm.time / 60:.0f} min. "
+        f"Meanwhile the tube is at {AGEING_DEGC[0]:g} to {AGEING_DEGC[1]:g} °C for {minutes:.0f} min, {ages}"
+    )
 
 
 def _lid_text(mandrel: Mandrel) -> str:
