@@ -801,8 +801,8 @@ def mandrel_numbers(mandrel: Mandrel) -> dict[str, str]:
         )
         wall = slot_wall(body, mandrel.winding)
         numbers["least wall between turns of the slot"] = f"{wall * TO_MM:.1f}" if math.isfinite(wall) else "one turn"
-    low, high = mandrel.envelope
-    numbers["with the straight ends, X / Y / Z"] = " / ".join(f"{size * TO_MM:.0f}" for size in high - low)
+    first, last = mandrel.envelope
+    numbers["with the straight ends, X / Y / Z"] = " / ".join(f"{size * TO_MM:.0f}" for size in last - first)
     start = mandrel.tube_leads[0]
     end = start + held.curved_length
     numbers |= {
