@@ -289,13 +289,21 @@ def test_a_thin_wall_gets_clamps_close_to_the_plate() -> None:
     assert SHORTEST_BARE <= bare < 0.7 * rig.clamps.clearance
     assert f"clamps {1e3 * bare:.1f} mm from the plate in place of 5 mm" in made.remarks[0]
     assert max(made.groove.gaps) == pytest.approx(bare)
-    # As long as found it keeps the limit, and half as long again it does not.
-    assert longest_bare_tube(made.heating, Thermocouple()) == math.inf
-    clamps = replace(made.rig.clamps, clearance=1.5 * bare)
-    longer = replace(made.heating, rig=replace(made.rig, clamps=clamps))
-    assert longest_bare_tube(longer, Thermocouple()) == pytest.approx(bare, rel=0.15)
+    hot = bare + made.heating.growth
+    # Without the growth it keeps the limit, and half as long again it does not: then the growth is said.
+    for length, keeps in ((bare, True), (1.5 * hot, False)):
+        longer = replace(made.heating, rig=replace(made.rig, clamps=replace(made.rig.clamps, clearance=length)))
+        longest = longest_bare_tube(longer, Thermocouple())
+        assert math.isinf(longest) == keeps
+    (said,) = re.findall(r"clamp to ([\d.]+) mm, and at most ([\d.]+) mm keep", " ".join(made.remarks))
+    assert [float(number) for number in said] == pytest.approx([1e3 * hot, 1e3 * longest], abs=0.25)
+    # A thick wall has room for the growth.
     thick = plan_tube(TUBE, rig, heating=SHORT)
-    assert 0.9 * rig.clamps.clearance < thick.rig.clamps.clearance <= rig.clamps.clearance + 1e-9
+    grown = thick.rig.clamps.clearance + thick.heating.growth
+    assert 0.9 * rig.clamps.clearance < grown < rig.clamps.clearance + thick.heating.growth
+    assert not any("the growth opens the gap" in text for text in thick.remarks)
+    longer = replace(thick.heating, rig=replace(thick.rig, clamps=replace(thick.rig.clamps, clearance=grown)))
+    assert longest_bare_tube(longer, Thermocouple()) == math.inf
     # Wide clamps do not come that close to a plate that the tube leaves at an angle.
     bent = replace(thin, curved_length=0.2, curvature=10.0)
     wide = plan_tube(bent, rig, MoldSpec(clamps=ClampSpec(nose=15e-3)), SHORT)

@@ -21,7 +21,7 @@ from .heating.counts import full_current
 from .heating.plan import HeatingPlan, ageing_remarks
 from .heating.planning import plan_heating
 from .heating.rig import Rig
-from .heating.robust import longest_bare_tube
+from .heating.robust import BARE_STEP, SHORTEST_BARE, longest_bare_tube
 from .heating.sensors import thermocouple_for
 from .heating.spec import HeatingSpec
 from .heating.thermal import gap_transfer, groove_gap, square_groove_gap, uniform_gap_of, vent_profile
@@ -145,9 +145,10 @@ def plan_tube(
             # The tube as its groove holds it: its curved part is as long as the bend.
             plan = plan_heating(drawn.grooves[0].held, drawn_rig, heating)
             if longest is None and rig.mold.material.electrically_insulating:
-                longest = longest_bare_tube(plan, thermocouple_for(heated, drawn_rig))
-                given, shortened = _with_short_bare_tube(given, longest)
-                remarks += shortened
+                longest = _longest_when_hot(plan)
+                cold = max(longest - plan.growth, min(longest, SHORTEST_BARE))
+                if 0 < cold < given.clamps.clearance:
+                    given = replace(given, clamps=replace(given.clamps, clearance=cold))
         elif _consistent(drawn, plan):
             bare = _bare_disagreement(drawn_rig, longest)
             return TubeFabrication(
@@ -157,7 +158,11 @@ def plan_tube(
                 heating=plan,
                 rounds=round_,
                 disagreement=bare,
-                remarks=(*remarks, *ageing_remarks(plan)),
+                remarks=(
+                    *remarks,
+                    *_bare_remarks(rig.clamps.clearance, drawn_rig, plan, longest),
+                    *ageing_remarks(plan),
+                ),
             )
         feedback = _heating_feedback(drawn.grooves[0], plan, heating)
     assert drawn is not None
@@ -272,16 +277,30 @@ def drawn_vents(groove: Groove, spec: MoldSpec) -> tuple[float, ...]:
     return tuple(np.minimum(bare, 0.5).tolist())
 
 
-def _with_short_bare_tube(rig: Rig, longest: float) -> tuple[Rig, tuple[str, ...]]:
-    """Rig whose clamps leave at most the `longest` bare tube, m, and a remark if that changes it."""
-    given = rig.clamps.clearance
-    if longest >= given or longest == 0.0:
-        return rig, ()
-    remark = (
-        f"clamps {longest * 1e3:.1f} mm from the plate in place of {given * 1e3:g} mm (clearance_mm): the bare tube "
-        "between them gets hotter than the limit where the board of the mold takes most heat"
-    )
-    return replace(rig, clamps=replace(rig.clamps, clearance=longest)), (remark,)
+def _longest_when_hot(plan: HeatingPlan) -> float:
+    """Longest bare tube beside a clamp, m, as `longest_bare_tube`; the growth at the sliding clamp is part of it."""
+    clamps = plan.rig.clamps
+    grown = replace(plan.rig, clamps=replace(clamps, clearance=clamps.clearance + plan.growth))
+    return longest_bare_tube(replace(plan, rig=grown), thermocouple_for(plan.tube, plan.rig))
+
+
+def _bare_remarks(given: float, rig: Rig, plan: HeatingPlan, longest: float | None) -> tuple[str, ...]:
+    """Remarks on drawn clamps that are nearer to the plate than `given`, m, and on a gap that growth makes too long."""
+    bare = rig.clamps.clearance
+    hot = bare + plan.growth
+    remarks = []
+    if bare < given - SAME_LENGTH and longest and longest < given + plan.growth:
+        remarks.append(
+            f"clamps {bare * 1e3:.1f} mm from the plate in place of {given * 1e3:g} mm (clearance_mm): more than "
+            f"{longest * 1e3:.1f} mm of bare tube, with the growth, get hotter than the limit where the board of the "
+            "mold takes most heat"
+        )
+    if longest and hot > longest + BARE_STEP:
+        remarks.append(
+            f"the growth opens the gap at the sliding clamp to {hot * 1e3:.1f} mm, and at most {longest * 1e3:.1f} mm "
+            "keep the limit on boards that take most heat. Make the face of the clamps narrower (nose_mm)"
+        )
+    return tuple(remarks)
 
 
 def _bare_disagreement(rig: Rig, longest: float | None) -> str:

@@ -1148,6 +1148,7 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
     """Steps before switching on, as text: set-up, wiring, measurements."""
     plan, spec, behind = fabrication.heating, fabrication.mold.spec, behind_clamp(fabrication.groove)
     live = f" {behind * TO_MM:.0f} mm behind the proximal clamp are live: a sleeve over them." if behind else ""
+    gaps = " and ".join(f"{gap * TO_MM:.1f}" for gap in fabrication.groove.gaps)
     battery, fixed = plan.rig.battery, "distal" if spec.clamps.sliding_end == "proximal" else "proximal"
     voltage = f"Battery rested and disconnected: {battery.voltage:.2f} V. "
     if plan.feedback is None:
@@ -1163,7 +1164,8 @@ def preparation(fabrication: TubeFabrication) -> list[str]:
     sensed = plan.feedback is not None and isinstance(plan.feedback.sensor, Thermocouple)
     return [
         f"Tube in its groove, {plan.rig.clamps.grip * TO_MM:g} mm of it in each clamp; the {fixed} clamp is fixed, the "
-        f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more.{live}",
+        f"{spec.clamps.sliding_end} one slides outwards by {plan.growth * TO_MM:.2f} mm and more. Cold gaps from plate "
+        f"to clamp, as on the set-up sheet: {gaps} mm, +0 / -0.2.{live}",
         *_board_text(plan),
         *(thermometer if sensed else ()),
         f"Fuse of this tube: {fuse_of(plan)} A; that of another tube does not protect it.",
