@@ -156,7 +156,7 @@ def cut_out(plan: HeatingPlan) -> CutOut:
         "at the stop limit": last + 1,
     }
     budget, withstood = _short_budget(model, limit)
-    on = _largest_count(plan) / COUNTS / plan.rig.circuit.pwm_frequency
+    on = largest_count(plan) / COUNTS / plan.rig.circuit.pwm_frequency
     return CutOut(
         shorts=tuple(
             Short(name, slot * k if k <= last else None, float(before[k]), float(peaks[k])) for name, k in named.items()
@@ -170,7 +170,7 @@ def cut_out(plan: HeatingPlan) -> CutOut:
     )
 
 
-def _largest_count(plan: HeatingPlan) -> float:
+def largest_count(plan: HeatingPlan) -> float:
     """Largest count of a pulse of a plan, with the corrections of its feedback."""
     planned = float(plan.duty.max())
     if plan.feedback is None:

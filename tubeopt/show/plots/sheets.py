@@ -15,8 +15,8 @@ from ...robots.tubes import Tube
 from ...shaping.clamp_body import CRUSHING, OPEN, largest_force
 from ...shaping.firmware.boards import Part, cable_of, fuse_of, root_mean_square
 from ...shaping.firmware.sketch_files import CHARGES
-from ...shaping.heating.controller import MOST_COUNT, MOST_EXCESS, wilson
-from ...shaping.heating.cutout import cut_out
+from ...shaping.heating.controller import MOST_EXCESS, wilson
+from ...shaping.heating.cutout import cut_out, largest_count
 from ...shaping.heating.oven import Oven, warming
 from ...shaping.heating.plan import AGEING_DEGC, LEFT, SHORTEST_AGEING, HeatingPlan, LeftInMold, left_in_mold
 from ...shaping.heating.rig import COUNTS, LEAD_ACID, MoldBed
@@ -1228,7 +1228,7 @@ def running(fabrication: TubeFabrication) -> list[str]:
         "current of one pulse.",
         f"The board multiplies the counts of the table by {max(1 - law.share, 0):.1f} to "
         f"{1 + float(law.largest(law.planned)[law.planned > 0].max()):.1f}, with at most "
-        f"{min(law.bare_count, MOST_COUNT - law.lost):.0f} of {COUNTS}. Where the tube lags, the "
+        f"{largest_count(plan):.0f} of {COUNTS}. Where the tube lags, the "
         f"schedule waits up to {law.patience:g} s: the times below are the earliest.",
         'Use the tube only if the board reports "done".',
     ]
