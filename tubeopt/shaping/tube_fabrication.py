@@ -291,9 +291,8 @@ def _bare_remarks(given: float, rig: Rig, plan: HeatingPlan, longest: float | No
     remarks = []
     if bare < given - SAME_LENGTH and longest and longest < given + plan.growth:
         remarks.append(
-            f"clamps {bare * 1e3:.1f} mm from the plate in place of {given * 1e3:g} mm (clearance_mm): more than "
-            f"{longest * 1e3:.1f} mm of bare tube, with the growth, get hotter than the limit where the board of the "
-            "mold takes most heat"
+            f"clamps {bare * 1e3:.1f} mm from the plate in place of {given * 1e3:g} mm (clearance_mm). With the growth, "
+            f"bare tube above {longest * 1e3:.1f} mm gets hotter than the limit on boards that take most heat"
         )
     if longest and hot > longest + BARE_STEP:
         remarks.append(
