@@ -291,7 +291,7 @@ def _bare_remarks(given: float, rig: Rig, plan: HeatingPlan, longest: float | No
     remarks = []
     if bare < given - SAME_LENGTH and longest and longest < given + plan.growth:
         remarks.append(
-            f"clamps {bare * 1e3:.1f} mm from the plate in place of {given * 1e3:g} mm (clearance_mm). With the growth, "
+            f"clamps {bare * 1e3:.1f} mm from the plate in place of {given * 1e3:g} mm (clearance_mm). With growth, "
             f"bare tube above {longest * 1e3:.1f} mm gets hotter than the limit on boards that take most heat"
         )
     if longest and hot > longest + BARE_STEP:
