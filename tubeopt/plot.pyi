@@ -1,6 +1,7 @@
 # The names of `tubeopt.plot`, and where each comes from: loaded when it is first used.
 
 from .show.page import tube_colour
+from .show.plots.clamps import plot_clamp_sheet
 from .show.plots.commission import plot_commissioning
 from .show.plots.design import (
     plot_before_after,
@@ -42,6 +43,7 @@ __all__ = [
     "plot_before_after",
     "plot_branch",
     "plot_checked",
+    "plot_clamp_sheet",
     "plot_commissioning",
     "plot_deployment",
     "plot_drives",
