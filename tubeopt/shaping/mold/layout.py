@@ -353,6 +353,10 @@ LATCHES = 0.12, 0.88
 """Targets of the latches, likewise."""
 
 
+NUT, PIN_ABOVE_LID = 1.6, 1e-3
+"""Width of a nut over the hole of its bolt, and height of a hinge's pin above the lid, m."""
+
+
 def place_hinge(size: Point, curves: Sequence[Centreline], widths: Sequence[float], spec: MoldSpec) -> Hinge:
     """Hinges of a lid, and a latch near either lower corner, clear of grooves and of each other.
 
@@ -379,9 +383,12 @@ def place_hinge(size: Point, curves: Sequence[Centreline], widths: Sequence[floa
             f"the plate of {size[0] * 1e3:g} x {size[1] * 1e3:g} mm has no room for hinges along its upper edge; they "
             f"need {spec.upper_margin * 1e3:.3g} mm between it and the grooves: use a larger plate, or a bolted lid"
         )
+    # The lower edge of an opening, L before the pin and h below it, swings out to hypot(L, h): it must clear the nut.
+    room, below = hinge.latch_diameter / 2 - NUT / 2 * bolt, spec.plate.lid_thickness + PIN_ABOVE_LID
+    before_pin = max(0.0, (below**2 - room**2) / (2 * max(room, SLACK)))
     inset = hinge.latch_diameter / 2 + wall
     rim = _rim(size, inset, FASTENER_STEP)
-    free = rim[:, 1] < 0.5 * size[1]
+    free = (rim[:, 1] < 0.5 * size[1]) & (rim[:, 1] + hinge.latch_diameter / 2 + before_pin <= pin)
     for curve, width in zip(curves, widths, strict=True):
         free &= curve.distance(rim) >= (width + hinge.latch_diameter) / 2 + wall
     centres: list[Point] = []

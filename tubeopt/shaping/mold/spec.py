@@ -283,7 +283,7 @@ class HingeSpec:
         LENGTH,
         SMALL,
         "diameter of the lid's holes around the latches: nut and bolt pass through when the slotted washer is out",
-    ] = 11e-3
+    ] = 12e-3
 
     def __post_init__(self) -> None:
         check_fields(self, "the hinge")
