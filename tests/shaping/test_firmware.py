@@ -30,10 +30,12 @@ from tubeopt.shaping.firmware.boards import (
     Wiring,
     coil_zener,
     converter_for,
+    fuse_of,
     gate_threshold,
     hall_slope,
     parts_list,
     pwm_frequency,
+    root_mean_square,
     shared_parts,
 )
 from tubeopt.shaping.firmware.line import SerialLine, SimulatedLine, SimulatedRig
@@ -616,6 +618,21 @@ def test_a_built_circuit_keeps_its_current_sensor_and_pulses() -> None:
     part = TubeParts(1, Mock(), Mock(), Heating(plan()), ClosedLoopHeating(plan(), led(), wiring, 122.5))
     assert part.rig.circuit.hall_sensitivity == 0.005
     assert replace(part, led=None).rig.circuit.hall_sensitivity is None
+
+
+def test_fuses_outlive_lasting_corrections() -> None:
+    """The rms current is that of the rig whose corrections heat most over 10 s."""
+    held = plan()
+    slots = len(held.duty)
+    counts = np.column_stack([held.duty, np.full(slots, 2.0 * held.duty.max())])
+    history = Mock(count=counts, index=np.column_stack([np.arange(slots)] * 2))
+    corrected = replace(held, feedback=Mock(history=history))
+    window = round(10.0 / held.spec.slot)
+    square = 2.0 * held.duty.max() / 255 * held.current**2
+    expected = max(np.sqrt(square[k : k + window].mean()) for k in range(slots - window + 1))
+    assert root_mean_square(corrected) == pytest.approx(expected)
+    assert expected > 1.2 * root_mean_square(held)
+    assert fuse_of(corrected) >= 1.25 * expected
 
 
 def test_a_circuit_of_several_tubes_has_the_largest_ratings_and_the_fuse_of_each() -> None:

@@ -21,7 +21,7 @@ HALF_NOSE, HALF_BODY, WIDTH = 6e-3, 12e-3, 20e-3
 """Heights of each half of nose and body, and width of the body, m."""
 
 OPEN = 0.1e-3
-"""Depth (m) by which each groove is less than a half circle: the halves stay apart by twice as much."""
+"""Material (m) that each groove lacks to a half circle: the halves stay apart by twice this."""
 
 SCREW, BEHIND_NOSE, ASIDE = 4e-3, 6e-3, 6e-3
 """Nominal diameter of both screws, and their distances from the nose and from the tube's axis, m."""

@@ -146,7 +146,7 @@ class Comparison(Displayed):
 
     @property
     def certain(self) -> tuple[str, ...]:
-        """Selected effects whose weight is at least CERTAIN."""
+        """Selected effects with a weight of CERTAIN or more."""
         return tuple(step.effect for step in self.steps if step.weight >= CERTAIN)
 
     @property

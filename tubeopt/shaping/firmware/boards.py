@@ -308,10 +308,15 @@ class Part:
 
 
 def root_mean_square(plan: HeatingPlan) -> float:
-    """Largest root mean square current over 10 s, A: it heats cables and fuses."""
-    square = plan.duty / COUNTS * plan.current**2
+    """Largest root mean square current over 10 s, A, of the plan and of uncertain rigs: it heats cables and fuses."""
+    courses = [plan.duty / COUNTS * plan.current**2]
+    if plan.feedback is not None:  # corrections may last
+        history = plan.feedback.history
+        current = plan.current[np.minimum(history.index, len(plan.current) - 1)]
+        courses += list((history.count / COUNTS * current**2).T)
     window = max(round(10.0 / plan.spec.slot), 1)
-    return float(math.sqrt(np.convolve(square, np.ones(window) / window, mode="valid").max()))
+    means = (np.convolve(square, np.ones(window) / window, mode="valid") for square in courses)
+    return math.sqrt(max(float(mean.max()) for mean in means))
 
 
 def fuse_of(plan: HeatingPlan) -> float:

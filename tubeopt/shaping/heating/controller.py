@@ -271,7 +271,7 @@ class ExpectedReading(NamedTuple):
     deviation: float
     """Largest deviation from it of an uncertain rig, K."""
     delay: float
-    """Longest time by which an uncertain rig is late, s."""
+    """Longest delay of an uncertain rig, s."""
 
 
 @dataclass(frozen=True, eq=False)

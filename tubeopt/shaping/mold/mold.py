@@ -423,7 +423,7 @@ def _overlap(first: Array, second: Array) -> bool:
 
 
 MOST_PLAY = 0.05
-"""Relative change of the mean curvature by a tube's play that is said in a remark."""
+"""Relative change of the mean curvature by play, above which a remark names it."""
 
 
 def _remarks(grooves: Sequence[Groove], spec: MoldSpec) -> list[str]:

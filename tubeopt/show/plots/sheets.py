@@ -887,7 +887,7 @@ STAND = 5.0
 
 
 def _stand_text(mandrel: Mandrel) -> str:
-    """Stand under a printed mandrel whose tube sticks out below it, as text; empty without need."""
+    """Text on the stand of a mandrel with a tube that ends below it; empty for others."""
     beneath = -float(mandrel.envelope[0][2]) * TO_MM
     if not isinstance(mandrel.body, Block) or beneath < 0.01:
         return ""
