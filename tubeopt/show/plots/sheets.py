@@ -622,8 +622,8 @@ def mold_steps(mold: Mold) -> list[str]:
 FLAT_SHARE = 0.4
 """Allowed unevenness of each of two faces, as a fraction of the least play of a tube between them."""
 
-PATH_SHARE = 0.6
-"""Allowed deviation of a machine from its path, as a fraction of the tolerance of a groove: 0.03 mm for routers."""
+PATH_SHARE, ROUTER = 0.6, 0.03e-3
+"""Allowed deviation of a machine from its path, as a fraction of the tolerance of a groove; and that of routers, m."""
 
 
 def least_play(mold: Mold) -> float:
@@ -633,7 +633,10 @@ def least_play(mold: Mold) -> float:
 
 def _path_text(spec: MoldSpec) -> str:
     """Tolerance of the cutter's path, as text."""
-    return f"cutter's path within {PATH_SHARE * fit_tolerance(spec) * TO_MM:.2g} mm"
+    allowed = PATH_SHARE * fit_tolerance(spec)
+    if allowed < ROUTER:
+        return f"grooves as in a test cut, corrected by the cutter's offset: routers keep {ROUTER * TO_MM:g} mm only"
+    return f"cutter's path within {allowed * TO_MM:.2g} mm"
 
 
 def _jaws_text(mold: Mold) -> str:
