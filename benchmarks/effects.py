@@ -6,7 +6,8 @@ Every run draws which of six effects a robot has, friction among them, each with
 robot follows a path of `--rows` rows, measured with 0.3 mm of noise. `compare_effects` chooses among all effects that
 it tries by default. Printed are effects that are chosen and are not there, effects that are there and are not chosen,
 the held-out errors that include the choice, and the true errors on a new path: of the chosen set and of the mean over
-sets. With `--jsonl` finished runs are kept in a file and are not repeated.
+sets, and how many coordinates there are in the bands of their posteriors. With `--jsonl` finished runs are kept in a
+file and are not repeated.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.robot import Robot
 from tubeopt.validation import FitOptions, compare_effects, validate
 
-from .posterior import ROBOT, Way, draw, measure, setup_of
+from .posterior import ROBOT, Way, draw, measure, setup_of, within_bands
 from .timing import clock, show, table
 
 ROTATION = 0.8
@@ -55,6 +56,10 @@ class Choice:
     """Error of the chosen set on a new path."""
     true_mean: float
     """Error of the mean over sets there."""
+    inside: float
+    """Fraction of coordinates there within the bands of 95 % of the chosen set."""
+    inside_mean: float
+    """The same of the mean over sets."""
     seconds: float
 
 
@@ -85,7 +90,7 @@ def chosen(seed: int, rows: int) -> Choice:
         fitted: Robot = replace(ROBOT, calibration=calibration)
     else:
         fitted = found.fit.robot
-    errors = [validate(robot, new, registration="saved").summary.rms for robot in (fitted, found.averaged)]
+    each = [validate(robot, new, registration="saved") for robot in (fitted, found.averaged)]
     steps = {step.effect for step in found.steps}
     return Choice(
         seed,
@@ -96,7 +101,8 @@ def chosen(seed: int, rows: int) -> Choice:
         found.alike,
         1e3 * found.chosen_anew.rms,
         1e3 * found.averaged_anew.rms,
-        *(1e3 * each for each in errors),
+        *(1e3 * one.summary.rms for one in each),
+        *(within_bands(one.robot, one) if one.robot.posterior else float("nan") for one in each),
         seconds,
     )
 
@@ -135,12 +141,23 @@ def main() -> None:
                 f"{np.median([getattr(c, key) for c in some]):.3f}"
                 for key in ("told", "told_mean", "true", "true_mean")
             ),
+            *(f"{100 * np.nanmean([getattr(c, key) for c in some]):.1f}" for key in ("inside", "inside_mean")),
             f"{sum(c.true_mean < c.true for c in some)}",
         )
         for name, some in (("settled", settled), ("folds disagree", unsettled))
         if some
     ]
-    columns = ("", "runs", "held out", "mean held out", "new path", "mean, new path", "mean better")
+    columns = (
+        "",
+        "runs",
+        "held out",
+        "mean held out",
+        "new path",
+        "mean, new path",
+        "in bands %",
+        "mean %",
+        "mean better",
+    )
     clean, sure = (sum(not getattr(c, name) for c in runs) for name in ("false", "false_certain"))
     count = f"{sum(c.certain for c in runs)} effects certain"
     note = f"nothing false chosen in {clean} of {len(runs)}; nothing false is certain in {sure}; {count}"

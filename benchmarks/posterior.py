@@ -18,11 +18,13 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+import scipy
 from scipy.spatial.transform import Rotation
 
 from tubeopt import ConcentricRobot, InputError, SolveError, Tube, forward_kinematics
 from tubeopt.robots.concentric import friction_of
-from tubeopt.validation import FitOptions, Measurements, fit, uncertainty
+from tubeopt.robots.robot import Robot
+from tubeopt.validation import FitOptions, Measurements, Validation, fit, real_robots, uncertainty
 from tubeopt.validation.effects import EFFECTS, Setup
 from tubeopt.validation.measurements import Timeline
 from tubeopt.validation.model import poses_with_friction, solve_poses
@@ -32,6 +34,13 @@ from .timing import clock, show, table
 MM = 1e-3
 RATE, NOISE, WOBBLE = 10.0, 0.3 * MM, np.radians(0.5)
 CONFIGURATIONS = 10
+
+WITHIN = float(scipy.special.ndtri(0.975))
+"""Half width of a band of 95 %, in standard deviations."""
+
+
+BANDED = 20
+"""Rows of a new path at which bands are computed."""
 
 ROBOT = ConcentricRobot(
     (
@@ -124,6 +133,22 @@ def measure(
     return Measurements(
         m.rotations, m.translations, tips, time=time, orientation=turn @ result.frame @ wobble if poses else None
     )
+
+
+def within_bands(robot: Robot, new: Validation) -> float:
+    """Fraction of coordinates of a new path within the bands of 95 % of the posterior, with misfit and noise."""
+    reals, posterior = real_robots(robot), robot.posterior
+    calibration = robot.calibration
+    assert reals is not None
+    assert posterior is not None
+    assert calibration is not None
+    m, inside = new.measurements, list[bool]()
+    for row in np.linspace(0, len(m) - 1, BANDED, dtype=int).tolist():
+        joints = calibration.to_model(m.rotations[row], m.translations[row])
+        slopes = reals.slopes(forward_kinematics(robot, *joints), np.zeros(reals.size), joints)
+        deviation = np.sqrt((slopes.tip**2).sum(1) + posterior.misfit**2 + posterior.noise**2)
+        inside += (np.abs(new.residuals[row]) < WITHIN * deviation).tolist()
+    return float(np.mean(inside))
 
 
 def main() -> None:

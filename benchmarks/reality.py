@@ -26,19 +26,18 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-import scipy
 
-from tubeopt import SolveError, follow, forward_kinematics
+from tubeopt import SolveError, follow
 from tubeopt.files.yaml_file import to_yaml
 from tubeopt.planning.trajectory import Trajectory
 from tubeopt.robots.concentric import ConcentricRobot
 from tubeopt.robots.robot import Robot
 from tubeopt.runs.plan_study import load_plan_study
 from tubeopt.typing import Array
-from tubeopt.validation import Fit, FitOptions, Measurements, Validation, fit, real_robots, validate
+from tubeopt.validation import FitOptions, Measurements, fit, real_robots, validate
 from tubeopt.validation.effects import Setup
 
-from .posterior import MM, ROBOT, Way, draw, measure, setup_of
+from .posterior import MM, ROBOT, Way, draw, measure, setup_of, within_bands
 from .timing import clock, show, table
 
 SNAPS = replace(
@@ -55,9 +54,6 @@ GENTLE = 0.75
 """Waves of the rotations of a recording, rad: the robot does not snap on them."""
 
 CONFIDENCE = 0.999
-
-WITHIN = float(scipy.special.ndtri(0.975))
-"""Half width of a band of 95 %, in standard deviations."""
 
 WAYPOINTS = 60
 """Waypoints of a plan that robots follow."""
@@ -160,7 +156,7 @@ def run(seed: int, rows: int, sessions: int, drawn: int | None) -> Run:
         seed,
         held,
         found.held_out_inside or 0.0,
-        float(np.mean([within_bands(found, each) for each in new])),
+        float(np.mean([within_bands(found.robot, each) for each in new])),
         1e3 * rms(told),
         1e3 * rms(np.concatenate([each.errors for each in new])),
         seconds,
@@ -173,26 +169,6 @@ def run(seed: int, rows: int, sessions: int, drawn: int | None) -> Run:
     assert isinstance(found.robot, ConcentricRobot)
     made = drives(found.robot, truth, drawn, seed)
     return replace(out, plain=made.get("plain"), sure=made.get("sure"))
-
-
-BANDED = 20
-"""Rows of a new path at which bands are computed."""
-
-
-def within_bands(found: Fit, new: Validation) -> float:
-    """Fraction of coordinates of a new path within the bands of 95 % of the posterior, with misfit and noise."""
-    reals, posterior = real_robots(found.robot), found.robot.posterior
-    calibration = found.robot.calibration
-    assert reals is not None
-    assert posterior is not None
-    assert calibration is not None
-    m, inside = new.measurements, list[bool]()
-    for row in np.linspace(0, len(m) - 1, BANDED, dtype=int).tolist():
-        joints = calibration.to_model(m.rotations[row], m.translations[row])
-        slopes = reals.slopes(forward_kinematics(found.robot, *joints), np.zeros(reals.size), joints)
-        deviation = np.sqrt((slopes.tip**2).sum(1) + posterior.misfit**2 + posterior.noise**2)
-        inside += (np.abs(new.residuals[row]) < WITHIN * deviation).tolist()
-    return float(np.mean(inside))
 
 
 def drives(fitted: ConcentricRobot, truth: Truth, drawn: int, seed: int) -> dict[str, Drive]:

@@ -22,9 +22,11 @@ from tubeopt.runs.plan_study import Required, load_plan_study, of_real_robot
 from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty, validate
 from tubeopt.validation.certainty import certificate_bounds, expected_error
 from tubeopt.validation.effects import Setup
+from tubeopt.validation.fitting import FitProblem, sessions
 from tubeopt.validation.measurements import Timeline
 from tubeopt.validation.model import solve_poses
-from tubeopt.validation.posterior import Places, estimate_misfit
+from tubeopt.validation.parameters import choose_parameters
+from tubeopt.validation.posterior import Misfit, Places, estimate_misfit, posterior_of
 from tubeopt.validation.tube_shapes import heated_pieces, shape_of
 
 from .drives import RATE, joints, robot, trivial
@@ -97,6 +99,29 @@ def test_held_out_tips_are_within_their_bands() -> None:
     assert posterior.noise == pytest.approx(NOISE, rel=0.1)
     assert {"dead_length_1", "curved_length_2", "plate_yaw"} <= set(posterior.names)
     assert "rotation_1" not in posterior.names
+
+
+def test_a_mean_over_fits_counts_its_distance_from_the_minimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Second moments about a state that is off the minimum are those about the minimum plus its square."""
+    white = Misfit(NOISE, 0.0, 1.0, 0.0, 1.0)
+    monkeypatch.setattr("tubeopt.validation.posterior.estimate_misfit", lambda *observed: white)
+    monkeypatch.setattr("tubeopt.validation.posterior.considered", lambda *model: [])
+    options = FitOptions(folds=0)
+    recordings = [recorded(0)[1]]
+    chosen = choose_parameters(robot(), recordings, NAMES)
+    problem = FitProblem(sessions(robot(), recordings, chosen, options), options)
+    fit_, weights = problem.fit, problem.weights()
+    away = np.array([0.01, 0.02, 1 * MM, -1 * MM, 0.1, 0.2])
+    moments = []
+    for way in (0 * away, away, -away):
+        residuals = fit_.residuals + fit_.jacobian @ np.append(way, np.zeros(6))
+        off = replace(fit_, state=replace(fit_.state, x=fit_.state.x + way), residuals=residuals)
+        none = np.zeros(0, dtype=int)
+        found = posterior_of(problem.model, off, weights, chosen, (), None, none, at_minimum=False).posterior
+        rows = found.factor[[found.names.index(name) for name in NAMES if name != "latency"]]
+        moments.append(rows @ rows.T)
+    for moved in moments[1:]:
+        np.testing.assert_allclose(moved - moments[0], np.outer(away[1:], away[1:]), rtol=1e-2)
 
 
 def test_sizes_and_ranges_of_a_misfit_are_found() -> None:

@@ -241,4 +241,11 @@ def test_the_held_out_number_includes_the_choice_of_effects() -> None:
     assert result.averaged_anew.rms == pytest.approx(mean, rel=0.1)
     assert sum(weight for weight, _ in result.weights) == pytest.approx(1.0)
     assert mean == pytest.approx(error, rel=0.02)
+    # With nearly all weight on one set its posterior is that of the fit.
+    alone, all_sets = result.fit.robot.posterior, result.averaged.posterior
+    assert alone is not None
+    assert all_sets is not None
+    for name in ("curvature_1", "torsional_stiffness_2"):
+        deviations = [np.linalg.norm(each.factor[each.names.index(name)]) for each in (alone, all_sets)]
+        assert 0.7 < deviations[1] / deviations[0] < 2.0, name
     assert result.settled

@@ -213,6 +213,8 @@ def posterior_of(
     per_recording: Sequence[str],
     noise: float | None,
     fold: Index,
+    *,
+    at_minimum: bool = True,
 ) -> PosteriorFit:
     """Posterior of the robot of the last recording, with its standard deviations.
 
@@ -220,24 +222,27 @@ def posterior_of(
         model, fit, weights: with the fitted parameters.   chosen: those that were asked for, fitted or fixed.
         noise: standard deviation of a measured coordinate, m; None for the white part of the residuals.
         fold: (N,) fold of each row, for the bands; empty without folds.
+        at_minimum: False for a mean over fits. Its distance from the minimum of all parameters then counts as
+            uncertainty.
     """
     count, more = len(model.parameters), considered(model, chosen, per_recording)
     every = [*model.parameters, *more]
     slopes = model.slopes_with(fit, more)
     w = weights.of(fit.residuals)
-    prior = np.zeros(slopes.shape[2])
+    prior, pull = np.zeros(slopes.shape[2]), np.zeros(slopes.shape[2])
     prior[: len(every)] = [*weights.prior**-2.0, *(p.prior**-2.0 for p in more)]
+    pull[:count] = prior[:count] * (fit.state.x - model.start.x)
     fitted = np.r_[:count, len(every) : len(prior)]
     places, trusted = Places.of(model), np.sqrt(w * weights.sigma**2)[:, None]  # below 1 where a loss doubts a row
     kinds = [kind for kind in (np.flatnonzero(model.directed), np.flatnonzero(~model.directed)) if len(kind)]
     misfits = [estimate_misfit(places[kind], (trusted * fit.residuals)[kind], slopes[kind]) for kind in kinds]
 
     def covariance_of(used: Mask) -> Array:
-        """Second moments of all unknowns about a fit to the observations `used` (V,)."""
+        """Second moments of all unknowns about the state, or a fit to the observations `used` (V,)."""
         square, gradient = weighted_sums(slopes[used], fit.residuals[used], w[used])
-        # What a fit to fewer rows has changed.
-        gradient = gradient - square[:, fitted] @ solved(square[np.ix_(fitted, fitted)], gradient[fitted])
-        square += np.diag(prior)
+        square, gradient = square + np.diag(prior), gradient + pull
+        if at_minimum:  # a fit to fewer rows moves what was fitted
+            gradient = gradient - square[:, fitted] @ solved(square[np.ix_(fitted, fitted)], gradient[fitted])
         inverse = inverse_of(square)
         gains, shift = np.einsum("qr,var,v->qva", inverse, slopes, w * used), -inverse @ gradient
         spread = [each.spread(places[kind], gains[:, kind]) for each, kind in zip(misfits, kinds, strict=True)]

@@ -46,6 +46,7 @@ from .identifiability import left_out
 from .measurements import Measurements, joined, recordings_of
 from .model import ParameterState
 from .parameters import Parameter, apply, choose_parameters, groups
+from .posterior import posterior_of
 from .registration import FIRST_GUESS
 from .sessions import Registrations, Sessions
 
@@ -135,7 +136,7 @@ class Comparison(Displayed):
     averaged: Robot
     """Robot with the means of all numbers over the sets of effects, by their weights, to first order around the fit.
 
-    Without a posterior. See `benchmarks.effects` for what it gains.
+    Its posterior is that of all their effects together. See `benchmarks.effects` for what it gains.
     """
     averaged_anew: ErrorSummary
     """Held-out tip errors of such means, weighted and fitted without each fold, m."""
@@ -426,18 +427,42 @@ class _Search:
         )
 
     def _averaged(self) -> Robot:
-        """Robot with the means over sets of effects; of several recordings as in the last."""
-        sets, model, state, setups = self.sets, self.slopes.model, self.slopes.state, list[Setup]()
-        weighed, turn = sets.weighed(), np.zeros(sets.free)
+        """Robot with the means over sets of effects and its posterior; of several recordings as in the last."""
+        sets, slopes, setups = self.sets, self.slopes, list[Setup]()
+        model, registration, p, f = slopes.model, slopes.state.registration, sets.count, sets.free
+        weighed, mean = sets.weighed(), np.zeros(p + f + len(slopes.jumps))
+        # An effect that cannot begin at 0 is absent there.
+        x, absent = np.zeros(p), np.where([each.kind in slopes.jumps for each in model.parameters], 0.0, 1.0)
         for weight, effects in weighed:
             step = sets.fitted(effects)
-            kept = np.array([p.kind in effects for p in model.parameters], dtype=bool)
-            fewer = model.with_parameters([p for p, mine in zip(model.parameters, kept, strict=True) if mine])
-            x = (state.x + step[: sets.count])[kept]
-            setups.append(fewer.models[-1].setup(fewer.part(ParameterState(x, state.registration), -1).x))
-            turn += weight * step[sets.count : sets.count + sets.free]
-        setup = Setup.mean(setups, np.array([weight for weight, _ in weighed]))
-        return calibrated(model.models[-1], setup, state.registration.moved(turn).parts[-1])
+            kept = np.array([each.kind in effects for each in model.parameters], dtype=bool)
+            values = slopes.state.x + step[:p]
+            fewer = model.with_parameters([each for each, mine in zip(model.parameters, kept, strict=True) if mine])
+            part = fewer.part(ParameterState(values[kept], registration), -1)
+            setups.append(fewer.models[-1].setup(part.x))
+            mean += weight * step
+            x += weight * np.where(kept, values, values * absent)
+        moved = registration.moved(mean[p : p + f])
+        robot = calibrated(
+            model.models[-1], Setup.mean(setups, np.array([weight for weight, _ in weighed])), moved.parts[-1]
+        )
+        weighty = {kind for _, effects in weighed for kind in effects}
+        model = model.with_parameters([each for each in model.parameters if each.kind in weighty])
+        if not model.parameters:
+            return robot
+        state = ParameterState(x[[kind in weighty for kind in sets.kinds]], moved)
+        descent = RobustDescent(state, slopes.moved(mean), slopes.of(model.parameters), True)
+        found = posterior_of(
+            model,
+            descent,
+            weigh(model, self.options, self.now.sigma),
+            model.parameters,
+            self.options.per_recording,
+            self.options.noise[0],
+            np.zeros(0, dtype=int),
+            at_minimum=False,
+        )
+        return replace(robot, posterior=found.posterior)
 
     def _kept(self) -> tuple[SelectionStep, ...]:
         """Kept effects, in order of their gain."""
@@ -725,6 +750,11 @@ class Slopes:
             high=np.array([p.high for p in chosen]) - x,
             jumps=self.jumps,
         )
+
+    def moved(self, step: Array) -> Array:
+        """(V, 3) residuals after a step (P + F + J,) of parameters, registration and jumps, to first order."""
+        columns = [self.table, *(jump[..., None] for jump in self.jumps.values())]
+        return np.asarray(self.residuals + np.concatenate(columns, axis=2) @ step)
 
     def beside(self, kind: str, weights: Weights, fold: Index) -> Array:
         """(V, 3) held-out residuals with one more effect than the fit; weights as for `sets`."""
