@@ -20,25 +20,19 @@ import numpy as np
 from rich.progress import track
 
 from benchmarks.timing import show, table
-from tests.equilibrium.test_bundle import compared, end_forces, random_bundle, shoot
+from tests.equilibrium.test_bundle import compared, end_forces, nested_tubes, on_elements_of, random_bundle, shoot
 from tests.stability.test_bundle_certificate import longest_certified, snaps_of
 from tubeopt import (
     BundleRobot,
-    ConcentricRobot,
     Discretisation,
     Equilibrium,
     Load,
-    Tube,
     find_snap,
     forward_kinematics,
     worst_margin,
 )
-from tubeopt.block.transcription.mesh import make_mesh
-from tubeopt.block.transcription.reduced import reduce
-from tubeopt.equilibrium.kinematics import point_of, to_equilibrium, unsolved
-from tubeopt.equilibrium.member import Point
+from tubeopt.equilibrium.kinematics import unsolved
 from tubeopt.errors import ImplausibleWarning, InputError
-from tubeopt.robots.assembly import LENGTH_ROUND_OFF
 from tubeopt.typing import Array
 
 FIRST = 1000
@@ -151,22 +145,12 @@ def concentric(robots: int) -> Iterator[Row]:
         "the default, halved 3 times": [],
     }
     for seed in track(range(FIRST, FIRST + robots), transient=True):
-        rng = np.random.default_rng(seed)
-        drawn, alpha, shift = random_bundle(rng, TIGHTEST)
-        inner_to_outer, tubes = np.argsort([-each.length for each in drawn.tubes]), []
-        alpha, shift = alpha[inner_to_outer], shift[inner_to_outer]
-        for k, i in enumerate(inner_to_outer):
-            each = drawn.tubes[i]
-            like = Tube(1e-3 + 2e-4 * k, 0.9e-3 + 2e-4 * k, each.straight_length, each.curved_length, each.curvature)
-            like = like.resized("bending_stiffness", float(each.bending_stiffness))
-            tubes.append(like.resized("torsional_stiffness", float(each.torsional_stiffness)))
-        n = drawn.n_tubes
-        nested, own = ConcentricRobot(tuple(tubes)), BundleRobot(tuple(tubes), (0.0,) * n, (0.0,) * n)
+        own, nested, alpha, shift = nested_tubes(seed, TIGHTEST)
         pose, other = forward_kinematics(own, alpha, shift), forward_kinematics(nested, alpha, shift)
         if np.abs(pose.tip_rotations - other.tip_rotations).max() > 1e-3:  # another of several equilibria
             continue
         halved = forward_kinematics(nested, alpha, shift, discretisation=Discretisation(refinement=3))
-        for found, each in zip(rows.values(), (other, _on_elements_of(pose, other), halved), strict=True):
+        for found, each in zip(rows.values(), (other, on_elements_of(pose, other), halved), strict=True):
             tip = float(np.linalg.norm(pose.tip_position - each.tip_position))
             found.append((tip, abs(pose.margin - each.margin), each.margin))
     for mesh, found in rows.items():
@@ -175,16 +159,6 @@ def concentric(robots: int) -> Iterator[Row]:
         yield f"elements: {mesh}; {len(found)} robots, largest distance of tips, m", f"{tip.max():.1e}"
         yield f"difference of margins, {below.sum()} of them below {NEAR_1}", f"{margin[below].max():.1e}"
         yield "of the others", f"{margin[~below].max():.1e}"
-
-
-def _on_elements_of(bundle: Equilibrium, concentric: Equilibrium) -> Equilibrium:
-    """Equilibrium of concentric tubes with the elements of a bundle, whose sections all have a length."""
-    known, point = point_of(bundle).member.problem, point_of(concentric)
-    assembly = point.member.problem.assembly
-    count = np.ones(assembly.n_sections, dtype=np.intp)
-    count[assembly.length > LENGTH_ROUND_OFF] = known.count
-    member = replace(point.member, problem=reduce(assembly, make_mesh(assembly, count)))
-    return to_equilibrium(Point.solved_near(member, member.transfer(point), "this mesh has none"), "newton")
 
 
 def certificate(robots: int) -> Iterator[Row]:
