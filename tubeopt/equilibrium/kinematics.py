@@ -383,7 +383,8 @@ def small_motion(start: Equilibrium, rotations: Array, translations: Array) -> b
     if max(max(turns), -min(turns)) > LARGEST_TURN:
         return False
     shift = (translations - start.translations).tolist()
-    return bool(max(max(shift), -min(shift)) <= LARGEST_SHIFT * reference_length(start))
+    largest = max(max(shift), -min(shift))
+    return not largest or bool(largest <= LARGEST_SHIFT * reference_length(start))
 
 
 @lru_cache(maxsize=64)
