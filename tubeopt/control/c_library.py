@@ -30,7 +30,7 @@ from ..equilibrium.kinematics import TOLERANCE, TORSION_FREE, SolveRequest, forw
 from ..equilibrium.problem import DEFAULT_DISCRETISATION, reduced_problem
 from ..errors import InputError, SolveError
 from ..files.files import write_text
-from ..inverse.breakpoint_order import breakpoints
+from ..inverse.breakpoint_order import breakpoints_at_zero
 from ..inverse.joints import JointSpace, joint_space
 from ..physics.certificate import coupling_rate_function
 from ..robots.assembly import LENGTH_ROUND_OFF
@@ -232,12 +232,7 @@ def _data(robot: Robot, space: JointSpace) -> str:
     n, m = robot.n_tubes, len(space.lower)
     carriage = [next(c for c, group in enumerate(space.carriages) if i in group) for i in range(n)]
     first = [0] * n + [group[0] for group in space.carriages]
-    # Where the breakpoints of each carriage are at its translation 0.
-    zero = space.offset[n:] - robot.home_translations
-    breaks = []
-    if robot.fixed_sections:  # of a bundle the places where sections end follow from its bending
-        home = robot.assembly(robot.home_translations)
-        breaks = [(c, s + zero[group[0]]) for c, group in enumerate(space.carriages) for s in breakpoints(home, group)]
+    breaks = breakpoints_at_zero(space)
     tables: dict[str, ArrayLike] = {
         "BREAK_AT": [s for _, s in breaks] or [0.0],
         "SPREAD": space.spread,

@@ -29,21 +29,22 @@ from .command import Command, ServoOptions, ServoStep, Why
 # Starts of a scout: out of reach most descents end at one of few minima.
 TRIALS = 48
 
-# Part of a cycle, s, for one step of the scout, which takes a millisecond: most of the cycle is left to the caller.
-SCOUT_TIME = 2.5e-3
+# Part of a cycle, s, for one step of the scout, which takes 0.5 ms: most searches then take less than 2 s.
+SCOUT_TIME = 0.65e-3
 
 # Searches for one target at most; each but the last has found a closer pose.
 ROUNDS = 4
 
-# Steps of a scout to its start at most (half a turn takes 11, the length of the longest tube 20), and of a descent.
-OUTWARD, DESCENT_STEPS = 100, 300
+# Largest numbers of steps: of a scout to its start (half a turn takes 11, the length of the longest tube 20), and of a
+# descent.
+OUTWARD, DESCENT_STEPS = 20, 300
 
 # Steps without motion after which a servo rests: the order of breakpoints is kept and released meanwhile.
 STILL = 6
 
 # Number of steps between two checks of a descent. Between them it must cover this fraction of the distance that still
 # separates it from a closer pose, or it ends: it leads to another minimum.
-COMPARED_EVERY, PROMISING = 10, 0.05
+COMPARED_EVERY, PROMISING = 4, 0.15
 
 # Motion over the joints' scales between stored places of a path, their largest number, and motion of a robot at rest.
 SPACED, MOST_PLACES, UNMOVED = 0.1, 64, 1e-9

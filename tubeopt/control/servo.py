@@ -6,7 +6,7 @@ farther than a small motion twists them, where margin or clearance fall short, t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from math import dist, hypot
 from typing import Any, NamedTuple
@@ -19,7 +19,7 @@ from ..equilibrium.jacobian import compiled_slopes, compiled_turn
 from ..equilibrium.kinematics import forward_kinematics, one_step
 from ..equilibrium.result import Equilibrium
 from ..errors import InputError, SolveError
-from ..inverse.breakpoint_order import breakpoint_order
+from ..inverse.breakpoint_order import breakpoint_order, breakpoints_at_zero
 from ..inverse.goal import BODY_REACH, angle
 from ..inverse.joints import Configuration, JointSpace, configuration, joint_space, shift_of
 from ..inverse.posture import Posture, start_posture
@@ -99,6 +99,11 @@ class Guard:
         self.acceleration: Array = np.where(rotation, *accelerations)
         self.rate: Array = np.where(rotation, options.turn_rate, options.shift_rate)
         self.limited = bool(np.isfinite(self.acceleration).any())
+        breaks = breakpoints_at_zero(self.space)
+        self._carriage: Index = np.array([robot.n_tubes + carriage for carriage, _ in breaks], dtype=np.intp)
+        """(b,) joint that moves each breakpoint."""
+        self._zero: Array = np.array([s for _, s in breaks])
+        """(b,) arc length of each breakpoint at the value 0 of this joint, m."""
         self.sight = 0.0
         """Distance (m) up to which bodies are searched at the end of a step: once for the guard and the next step."""
 
@@ -158,6 +163,8 @@ class Guard:
         for halving in range(HALVINGS + 1):
             q = current.q + change / 2**halving
             posture = self._passes(q, floor)
+            if posture is not None and not self.limited and not self._keeps_at_kinks(q, floor):
+                posture = None
             ball = None if posture is None else self._proved(posture)
             if posture is None or ball is None:
                 guarded = True
@@ -208,29 +215,73 @@ class Guard:
     def _can_brake(self, rest: Posture, floor: float, dt: float) -> bool:
         """True if the margin stays above `floor` at the next position of the robot and while it brakes to rest.
 
-        In a ball about its stop point, without slides, it does so without a check. Where the least margin is close to
-        the floor, there are two more places about it.
+        In a ball about its stop point, without slides, it does so without a check. Further places are those where
+        breakpoints meet: there the margin has kinks, and falls steeply towards them. Where the least margin is close to
+        the floor, there are two more about it.
         """
         q, speed = self._next(rest.q, dt)
         longest = float((np.abs(speed) / self.acceleration).max())
 
-        def margin(time: float) -> float:
+        def place(time: float) -> Array:
             left = np.maximum(0.0, 1 - time * longest * self.acceleration / np.maximum(np.abs(speed), 1e-300))
-            at = rest.q - (rest.q - q) * np.where(speed == 0, 1.0, left**2)
-            try:
-                reached = one_step(self.space.robot, self.arm, *self.space.split(at))
-            except (SolveError, InputError):
-                return -1.0
-            return -1.0 if reached is None else reached.margin
+            return np.asarray(rest.q - (rest.q - q) * np.where(speed == 0, 1.0, left**2))
 
+        def margin(time: float) -> float:
+            return self._margin(place(time), self.arm)
+
+        if not self._keeps_at_kinks(q, floor):
+            return False
         least, at = rest.margin, len(BRAKING) - 1
-        for k, time in enumerate(BRAKING[:-1]):
+        for k, (time, next_time) in enumerate(pairwise(BRAKING)):
             found = margin(time)
-            if found < floor:
+            if found < floor or any(margin(kink) < floor for kink in self._kinks(place, time, next_time)):
                 return False
             least, at = min((least, at), (found, k))
         neighbours = BRAKING[max(at - 1, 0) : at + 2] if least < floor + 4 * ROOM else ()
         return all(margin((one + two) / 2) >= floor for one, two in pairwise(neighbours))
+
+    def _margin(self, q: Array, arm: Equilibrium) -> float:
+        """Margin at joint values q (m,) close to those of an arm; -1 if no equilibrium is found."""
+        try:
+            reached = one_step(self.space.robot, arm, *self.space.split(q))
+        except (SolveError, InputError):
+            return -1.0
+        return -1.0 if reached is None else reached.margin
+
+    def _keeps_at_kinks(self, q: Array, floor: float) -> bool:
+        """True if the margin keeps a floor where breakpoints meet on the straight path of the robot to q (m,).
+
+        There it has kinks, and falls steeply towards them: the robot can snap there, between two places with margins
+        above the floor.
+        """
+        start, least = self._joints(self.arm), floor if self.min_distance is None else 0.0
+
+        def place(time: float) -> Array:
+            return start + time * (q - start)
+
+        return all(self._margin(place(time), self.arm) >= least for time in self._kinks(place, 0.0, 1.0))
+
+    def _kinks(self, place: Callable[[float], Array], start: float, end: float) -> Iterator[float]:
+        """Times between two at which breakpoints meet each other or the plate on a path."""
+        last = self._sides(place(end))
+        while self._meet(first := self._sides(place(start)), last):
+            low, high = start, end
+            for _ in range(20):
+                middle = (low + high) / 2
+                low, high = (low, middle) if self._meet(first, self._sides(place(middle))) else (middle, high)
+            yield high
+            start = high
+
+    def _sides(self, q: Array) -> Array:
+        """(p,) order of each pair of breakpoints, or of one and the plate: 1, -1, or 0 where they meet."""
+        s = np.append(q[self._carriage] + self._zero, 0.0)
+        apart = (s[:, None] - s)[np.triu_indices(len(s), 1)]
+        return np.where(np.abs(apart) > KEPT, np.sign(apart), 0.0)
+
+    @staticmethod
+    def _meet(one: Array, two: Array) -> bool:
+        """True if a pair changes its order between two places."""
+        return bool((one * two < 0).any())
 
     def _next(self, stop: Array, dt: float) -> tuple[Array, Array]:
         """(m,) joint values after a cycle, from which the robot can brake to its stop point s.
@@ -282,6 +333,10 @@ APPROACH = 0.5
 # Margin above its lower bound, and distance (m) from bodies above the clearance, at which the arm moves along these: a
 # straight step bends away from what it moves along, and would violate it by the error of second order.
 ROOM, APART = 0.01, 1e-5
+
+# Largest of this room over the length of the last step over the scales: as steps become short, so does their error, and
+# the robot rests at the lower bound.
+ROOM_PER_STEP = 5.0
 
 # Largest required rise of margin or distance, as a fraction of what the joints can do within their rates. With 1 the
 # rows would leave no step but one, and no joint motion for the task.
@@ -675,7 +730,8 @@ class Servo:
             kinds.append((len(bounds), Why.MARGIN))
             rows.append(slope[None])
             least = options.min_margin if self.guard.min_distance is None else self.guard.margin_limit
-            more.append(np.array([min(APPROACH * (least + ROOM - current.margin), rise)]))
+            room = min(ROOM, ROOM_PER_STEP * float(np.linalg.norm(self._last)))
+            more.append(np.array([min(APPROACH * (least + room - current.margin), rise)]))
         if self.guard.scene.bodies:
             body_rows, lower = self._body_rows(current, np.maximum(high, -low))
             kinds.append((sum(map(len, more)), Why.OBSTACLE))
@@ -774,8 +830,7 @@ class Servo:
         if name == "direction":
             return np.asarray(target - at.direction)
         if name == "joints":
-            goal = at_most(configuration(self.space, "joints", target), "joints")
-            return np.asarray((goal - at.q) / self.space.scale)
+            return np.asarray((target - at.q) / self.space.scale)
         _, across, away = self._foot(target, at)
         return across @ away
 
@@ -799,6 +854,8 @@ class Servo:
         if name == "velocity":
             error = _shortened(self.options.speed, target) * (dt / length)
             return Part(name, target, at.jacobian.tip / length, error, np.inf, np.inf)
+        if name == "joints":
+            target = at_most(configuration(self.space, "joints", target), "joints")
         error = self._error(name, target, at)
         if name == "position":
             return Part(name, target, at.jacobian.tip / length, error, speed, met)

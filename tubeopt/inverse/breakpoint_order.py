@@ -112,6 +112,20 @@ def breakpoints(assembly: Assembly, tubes: Sequence[int]) -> list[float]:
     return sorted({round(float(s), 12) for s in [*ends, *transitions[bent], *cuts]})
 
 
+def breakpoints_at_zero(space: JointSpace) -> list[tuple[int, float]]:
+    """Carriage of each breakpoint, from 0, and its arc length, m, if the translation of the carriage were 0.
+
+    None of a bundle, whose sections follow from its bending.
+    """
+    robot = space.robot
+    if not robot.fixed_sections:
+        return []
+    zero = space.offset[robot.n_tubes :] - robot.home_translations
+    home = robot.assembly(robot.home_translations)
+    groups = enumerate(space.carriages)
+    return [(c, float(s + zero[group[0]])) for c, group in groups for s in breakpoints(home, group)]
+
+
 def separate_breakpoints(goal: Goal, at: Posture) -> Posture:
     """Posture with coinciding breakpoints moved apart a little, if the limits allow it."""
     space = goal.space

@@ -7,11 +7,11 @@
    comes closer, or until the robot rests where it did before: it returns from a pose closer to the floor of the margin. Steps of a scout are as long as Newton's method allows, and take no time. */
 
 #define ROUNDS 4       /* searches for one target at most */
-#define OUTWARD 100    /* steps of a scout to its start at most: half a turn takes 11, the length of the longest tube 20 */
+#define OUTWARD 20     /* steps of a scout to its start at most: half a turn takes 11, the length of the longest tube 20 */
 #define DESCENT_STEPS 300
 #define STILL 6        /* steps without motion, after which it rests: the order of breakpoints is kept and released meanwhile */
-#define COMPARED_EVERY 10 /* steps of a descent, */
-#define PROMISING 0.05 /* which must have descended by this share of what is missing to a closer pose: others end early */
+#define COMPARED_EVERY 4 /* steps of a descent, */
+#define PROMISING 0.15 /* which must have descended by this share of what is missing to a closer pose: others end early */
 #define WHOLE_TURN 6.283185307179586
 #define SPACED 0.1     /* of a joint's scale, between places of a way that are kept */
 #define MUCH_CLOSER 2e-5 /* of the longest tube: what counts as closer */

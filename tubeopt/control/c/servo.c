@@ -4,7 +4,8 @@
 #define DAMPING 1e-3 /* of a joint's scale against the tip's way as a share of the robot's length */
 #define HALVINGS 4   /* of a step that the guard does not let pass */
 #define CLOSE 1e-9
-#define ROOM 0.01  /* of the margin above its floor, at which the tip slides: a step along the floor bends away from it */
+#define ROOM 0.01  /* of the margin above its floor, at which the tip slides: a step along the floor bends away from it, */
+#define ROOM_PER_STEP 5.0 /* and less where steps over the scales are shorter: the robot rests at the floor */
 #define RISE 0.3   /* share of what joints could do for margin or clearance that a step must do at most */
 #define NEAR 1e-6  /* m and rad, at which a target is met */
 #define DESCENT 0.25 /* fraction of the predicted decrease of the distance that a step must have: zigzags have none */
@@ -198,7 +199,8 @@ static void hedge(const tubeopt_memory *m, const tubeopt_command *c, const Bodie
     double most = 0;
     for (int k = 0; k < JOINTS; k++) most += fmax(aim->margin[k] * aim->low[k], aim->margin[k] * aim->high[k]);
     double least = sees_snaps(c) ? m->wall : c->min_margin;
-    double raised = fmin(fmin(0.5 * (least + ROOM - stated_margin(m, 0)), RISE * most), rise);
+    double room = fmin(ROOM, ROOM_PER_STEP * sqrt(dot(m->last, m->last, JOINTS)));
+    double raised = fmin(fmin(0.5 * (least + room - stated_margin(m, 0)), RISE * most), rise);
     memcpy(new_row(p, raised), aim->margin, sizeof aim->margin);
     keep_clear(m, bodies, rise, p, aim);
     aim->order = p->count;
@@ -264,18 +266,66 @@ static void follow_stop(const tubeopt_command *c, const double *s, double T, dou
     }
 }
 
-/* The margin of a robot at a time, as part of that for which it brakes, from q and its speed to a stop point s; -1 where none is
-   found. */
-static double braking_margin(tubeopt_memory *robot, const tubeopt_command *c, const double *s, const double *q, const double *speed, double time) {
-    double at[JOINTS], longest = 0;
-    tubeopt_joints next;
-    for (int k = 0; k < JOINTS; k++) longest = fmax(longest, fabs(speed[k]) / (k < N ? c->turn_acceleration : c->shift_acceleration));
+/* How a robot goes in a cycle from one place to the next, and how it brakes from there, with its speed, to a stop point. */
+typedef struct {
+    double from[JOINTS], q[JOINTS], speed[JOINTS], stop[JOINTS];
+} Way;
+
+/* Where it is at a time: before 0 a part of the cycle is left, then it is part of that for which it brakes. */
+static void place_of(const tubeopt_command *c, const Way *w, double time, double *at) {
+    double longest = 0;
+    for (int k = 0; time > 0 && k < JOINTS; k++) longest = fmax(longest, fabs(w->speed[k]) / (k < N ? c->turn_acceleration : c->shift_acceleration));
     for (int k = 0; k < JOINTS; k++) {
-        double left = fmax(0, 1 - time * longest * (k < N ? c->turn_acceleration : c->shift_acceleration) / fabs(speed[k]));
-        at[k] = time && speed[k] ? s[k] - (s[k] - q[k]) * left * left : q[k];
+        double q = w->q[k], left = 1;
+        if (time > 0 && w->speed[k]) left = fmax(0, 1 - time * longest * (k < N ? c->turn_acceleration : c->shift_acceleration) / fabs(w->speed[k]));
+        at[k] = time > 0 ? w->stop[k] - (w->stop[k] - q) * left * left : q + time * (q - w->from[k]);
     }
+}
+
+/* The margin there; -1 where none is found. */
+static double margin_on(tubeopt_memory *robot, const tubeopt_command *c, const Way *w, double time) {
+    double at[JOINTS];
+    tubeopt_joints next;
+    place_of(c, w, time, at);
     dependent(at, &next);
     return step_to(robot, &next) || bear_to(robot, &next, 1) ? -1 : stated_margin(robot, 1);
+}
+
+/* Whether breakpoints meet each other, or the plate, between two places. */
+static int breakpoints_meet(const double *from, const double *to) {
+    double gap[2];
+    for (int a = 0; a < BREAKS; a++)
+        for (int b = -1; b < a; b++) {
+            for (int k = 0; k < 2; k++) {
+                const double *q = (k ? to : from) + N;
+                gap[k] = q[BREAK_CARRIAGE[a]] + BREAK_AT[a] - (b < 0 ? 0 : q[BREAK_CARRIAGE[b]] + BREAK_AT[b]);
+            }
+            if ((gap[0] < -KEPT && gap[1] > KEPT) || (gap[0] > KEPT && gap[1] < -KEPT)) return 1;
+        }
+    return 0;
+}
+
+/* Whether the margin keeps a floor where breakpoints meet between two times. There it has kinks, and falls steeply towards them: the
+   robot can snap there, between two places with margins above the floor. */
+static int keeps_at_kinks(tubeopt_memory *robot, const tubeopt_command *c, const Way *w, double floor, double from, double to) {
+    double one[JOINTS], two[JOINTS];
+    place_of(c, w, to, two);
+    for (int kinks = 0; kinks <= BREAKS; kinks++) {
+        double low = from, high = to;
+        place_of(c, w, from, one);
+        if (!breakpoints_meet(one, two)) return 1;
+        for (int half = 0; half < 20; half++) {
+            double middle = (low + high) / 2, place[JOINTS];
+            place_of(c, w, middle, place);
+            if (breakpoints_meet(one, place))
+                high = middle;
+            else
+                low = middle;
+        }
+        if (margin_on(robot, c, w, high) < floor) return 0;
+        from = high;
+    }
+    return 0;
 }
 
 #if SLOPES
@@ -311,27 +361,32 @@ static int proves_way(tubeopt_memory *m, const tubeopt_joints *stop, const tubeo
 #endif
 
 /* Whether a robot can follow a stop point s: in a ball about s, or where its way there is proved, it can. Where slides are not known, the next
-   place and some on the way on which it brakes to s keep a margin. Where the least of them, or that at `rest`, is close to the floor, there are two more places about it. */
+   place, some on the way on which it brakes to s, and those where breakpoints meet keep a margin. Where the least of them, or that at
+   `rest`, is close to the floor, there are two more places about it. */
 static int can_brake(tubeopt_memory *robot, tubeopt_memory *m, const tubeopt_joints *stop, const tubeopt_command *c, const Ball *ball, const double *s,
                      double floor, double rest) {
-    double q[JOINTS], speed[JOINTS], least = rest;
+    double least = rest;
     int at = BRAKINGS;
+    Way way;
     if (sees_snaps(c) && turn_left(ball, &robot->joints) > 0) return 1;
 #if SLOPES
     int proved = sees_snaps(c) && !bears(m) ? proves_way(m, stop, &robot->joints) : -1;
     if (proved >= 0) return proved;
 #endif
-    independent(&robot->joints, q);
-    follow_stop(c, s, c->step, q, speed);
+    independent(&robot->joints, way.from);
+    memcpy(way.q, way.from, sizeof way.q);
+    memcpy(way.stop, s, sizeof way.stop);
+    follow_stop(c, s, c->step, way.q, way.speed);
+    if (!keeps_at_kinks(robot, c, &way, floor, -1, 0)) return 0;
     for (int k = 0; k < BRAKINGS; k++) {
-        double found = braking_margin(robot, c, s, q, speed, BRAKING[k]);
-        if (found < floor) return 0;
+        double found = margin_on(robot, c, &way, BRAKING[k]);
+        if (found < floor || !keeps_at_kinks(robot, c, &way, floor, BRAKING[k], BRAKING[k + 1])) return 0;
         if (found < least) at = k;
         least = fmin(least, found);
     }
     if (least >= floor + 4 * ROOM) return 1;
-    return (at == 0 || braking_margin(robot, c, s, q, speed, (BRAKING[at - 1] + BRAKING[at]) / 2) >= floor) &&
-           (at == BRAKINGS || braking_margin(robot, c, s, q, speed, (BRAKING[at] + BRAKING[at + 1]) / 2) >= floor);
+    return (at == 0 || margin_on(robot, c, &way, (BRAKING[at - 1] + BRAKING[at]) / 2) >= floor) &&
+           (at == BRAKINGS || margin_on(robot, c, &way, (BRAKING[at] + BRAKING[at + 1]) / 2) >= floor);
 }
 
 /* The squared distance after a share of a step, as the linear model has it. */
@@ -384,6 +439,13 @@ static int take(tubeopt_memory *m, tubeopt_memory *robot, const tubeopt_command 
             there[k] = fmin(fmax(q[k] + share * SCALE[k] * step[k], fmin(q[k], LOWER[k])), fmax(q[k], UPPER[k]));
         dependent(there, &next);
         report->solves++;
+        Way way;
+        memcpy(way.from, q, sizeof way.from);
+        memcpy(way.q, there, sizeof way.q);
+        if (robot == m && !keeps_at_kinks(m, c, &way, sees_snaps(c) ? 0 : floor, -1, 0)) {
+            guarded = 1;
+            continue;
+        }
         if (step_to(m, &next) || bear_to(m, &next, 1) || too_close(m, bodies) || !may_stop(m, c, floor, &next, &ball)) {
             guarded = 1;
             continue;
