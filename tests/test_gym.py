@@ -170,6 +170,32 @@ def test_wrong_options_are_named(fields: dict[str, object], words: str) -> None:
         GymOptions(**fields)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"gaol": [0.0, 0.0, 0.1]}, "options have 'gaol'; only 'goal' is possible"),
+        ({"goal": [0.0, 0.1]}, "goal"),
+        ({"goal": [0.0, 0.0, 100.0]}, "goal is 0, 0, 100 m"),
+    ],
+)
+def test_wrong_goals_are_named(options: dict[str, object], words: str) -> None:
+    many = CtrVectorEnv("two_tube", 2)
+    with pytest.raises(InputError, match=words):
+        many.reset(options=options)
+
+
+def test_actions_that_are_no_numbers_are_named() -> None:
+    """Such a robot stood still and was rewarded like others, so that a diverged agent went unnoticed."""
+    many = CtrVectorEnv("two_tube", 2)
+    many.reset(seed=0)
+    actions = many.action_space.sample()
+    actions[1, 2] = np.nan
+    with pytest.raises(InputError, match=r"actions\[1, 2\] is nan"):
+        many.step(actions)
+    with pytest.raises(InputError, match=r"shape \(2, 3\); it must be \(2, 4\)"):
+        many.step(np.zeros((2, 3)))
+
+
 def test_an_eccentric_robot_is_not_randomised() -> None:
     with pytest.raises(InputError, match="supports concentric robots only"):
         CtrVectorEnv(load_robot("thesis_etr"), 1, randomisation=0.1)

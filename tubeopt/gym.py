@@ -18,11 +18,12 @@ import numpy as np
 
 from .arguments import typed
 from .display import Displayed
-from .errors import InputError, whole, without_unit_warnings
+from .errors import InputError, finite_array, vector, whole, without_unit_warnings
 from .files.field_metadata import POSITIVE, Checked, OneOf, Range, unit
 from .inverse.joints import JointSpace, joint_space
 from .robots.concentric import ConcentricRobot
 from .robots.file import load_robot
+from .robots.limits import check_target
 from .robots.robot import Robot
 from .solvers.compiled.binding import Branches
 from .typing import Array, Mask
@@ -127,20 +128,37 @@ class CtrVectorEnv(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: Any = None, options: Mapping[str, Any] | None = None
     ) -> tuple[dict[str, Array], dict[str, Any]]:
-        """Begin all episodes anew; `options` may have "goal" (3,), m, for all of them."""
+        """Begin all episodes anew; `options` may have "goal" (3,), m, for all of them.
+
+        Raises:
+            InputError: another option, or a goal more than ten tube lengths away.
+        """
+        known = dict(options or {})
+        fixed = known.pop("goal", None)
+        if known:
+            raise InputError(f"options have {', '.join(map(repr, known))}; only 'goal' is possible")
+        if fixed is not None:
+            fixed = vector("goal", fixed, 3, "x, y, z")
+            check_target(self.robot.tubes, "goal", fixed)
         super().reset(seed=seed if seed is None or isinstance(seed, int) else seed[0])
         self._begin(np.ones(self.num_envs, dtype=bool))
         self._over[:] = False
-        fixed = (options or {}).get("goal")
-        self._fixed = None if fixed is None else np.asarray(fixed, dtype=float)
+        self._fixed = fixed
         return self._observed(), self._info()
 
     def step(self, actions: Array) -> tuple[dict[str, Array], Array, Mask, Mask, dict[str, Any]]:
-        """Move all robots by changes (N, 2n) of beta, m, and alpha, rad; an ended episode begins anew."""
+        """Move all robots by changes (N, 2n) of beta, m, and alpha, rad; an ended episode begins anew.
+
+        Raises:
+            InputError: actions of another shape, or with NaN.
+        """
+        asked = finite_array("actions", actions, 2)
+        if asked.shape != (self.num_envs, len(self._most)):
+            raise InputError(f"actions have shape {asked.shape}; it must be {(self.num_envs, len(self._most))}")
         begins, goes, o = self._over.copy(), ~self._over, self.options
         if begins.any():
             self._begin(begins)
-        action = np.clip(np.asarray(actions, dtype=float), -self._most, self._most) * goes[:, None]
+        action = np.clip(asked, -self._most, self._most) * goes[:, None]
         snaps: Mask = self._move(action) & goes
         self._time += goes
         if o.task == "path":
