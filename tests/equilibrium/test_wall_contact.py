@@ -8,13 +8,13 @@ from scipy.spatial.transform import Rotation
 
 import tubeopt
 from tubeopt.block.transcription.orientation import position_slopes, tangents
-from tubeopt.bodies import Capsule, HalfSpace, Sphere
+from tubeopt.bodies import Capsule, Corridor, HalfSpace, Sphere
 from tubeopt.bodies.obstacles import scene_of
 from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.equilibrium.jacobian import derivatives_of, shifted
 from tubeopt.equilibrium.member import Loaded
 from tubeopt.equilibrium.problem import Discretisation
-from tubeopt.equilibrium.wall_contact import wall_curvature
+from tubeopt.equilibrium.wall_contact import side_of
 from tubeopt.errors import InputError
 from tubeopt.robots.load import Load
 
@@ -93,7 +93,7 @@ def by_penalty(robot, rotations, bodies, start, stiffness):
                 gradient -= press * normal @ place
                 along = normal @ place
                 hessian += stiffness * spacing[k] * np.outer(along, along)
-                hessian -= press * place.T @ wall_curvature(body, points[k]) @ place
+                hessian -= press * place.T @ side_of(body, points[k]).curvature @ place
                 forces[b] += press * normal
         if np.abs(gradient).max() < 1e-9:
             break
@@ -183,6 +183,43 @@ def test_a_moved_wall_does_the_work_of_its_force(pressed, direction):
     high, low = (tubeopt.forward_kinematics(robot, rotations, walls=ball(centre + k * step)).energy for k in (1, -1))
     (contact,) = pose.walls.contacts
     assert (high - low) / 4e-5 == pytest.approx(np.dot(contact.force, direction), rel=1e-4, abs=1e-7)
+
+
+def bent_vessel(free, i, turn, bend, moved=(0, 0, 0)):
+    """Vessel of two straight pieces, the inner edge of which is 1 mm deep in the free arm at shape point i."""
+    radius, thick = 0.05, float(ArmSurface(free).radius(free.arc_length[i : i + 1])[0])
+    normal, along = free.frame[i] @ [np.cos(turn), np.sin(turn), 0.0], free.frame[i, :, 2]
+    corner = free.position[i] + normal * (1e-3 + (radius - thick) / np.cos(bend)) + moved
+    coming, going = along * np.cos(bend) + normal * np.sin(bend), along * np.cos(bend) - normal * np.sin(bend)
+    return Corridor([corner - 0.3 * coming, corner, corner + 0.3 * going], radius)
+
+
+@pytest.mark.parametrize(("turn", "bend"), [(0.4, 0.2), (1.0, 0.4)])
+def test_an_arm_stays_on_the_edge_of_a_bend(turn, bend):
+    """Both pieces press, normal to the arm; the force does the work of a motion, and derivatives are differences."""
+    robot, rotations = tubeopt.load_robot("thesis_ctr"), np.array([0.0, 1.0, 2.0])
+    free = tubeopt.forward_kinematics(robot, rotations)
+    i = len(free.position) // 2
+    body = bent_vessel(free, i, turn, bend)
+    pose = tubeopt.forward_kinematics(robot, rotations, walls=[body])
+    (contact,) = pose.walls.contacts
+    point, thick = ArmSurface(pose).at(np.array([contact.arc_length]))
+    assert np.allclose(body.depths(point), thick, rtol=0, atol=1e-7)
+    normals = np.array([piece.gradient(point[0]) for piece in body.pieces])
+    shares, *_ = np.linalg.lstsq(normals.T, contact.force, rcond=None)
+    assert (shares > 0.1 * contact.size).all()
+    assert np.allclose(shares @ normals, contact.force, rtol=0, atol=1e-6 * contact.size)
+    ahead = np.gradient(ArmSurface(pose).centreline(contact.arc_length + np.array([-1e-5, 0, 1e-5])), 1e-5, axis=0)[1]
+    assert abs(ahead @ contact.force) < 1e-5 * contact.size
+    for direction in np.eye(3):
+        far = [bent_vessel(free, i, turn, bend, k * 2e-5 * direction) for k in (1, -1)]
+        high, low = (tubeopt.forward_kinematics(robot, rotations, walls=[each]).energy for each in far)
+        assert (high - low) / 4e-5 == pytest.approx(np.dot(contact.force, direction), rel=1e-4, abs=1e-7)
+    slope = pose.jacobian(wrt=["rotations"]), derivatives_of(pose, ["rotations"])
+    far = [posed(pose, "rotations", 0, k * 1e-4) for k in (1, -1)]
+    assert np.allclose((far[0].tip_position - far[1].tip_position) / 2e-4, slope[0].position[:, 0], atol=1e-8)
+    pressing = (far[0].walls.contacts[0].size - far[1].walls.contacts[0].size) / 2e-4
+    assert slope[1].contact_forces[0, 0] == pytest.approx(pressing, rel=1e-6)
 
 
 def test_the_compliance_keeps_the_contact_closed(pressed):

@@ -82,6 +82,18 @@ class Corridor(Displayed):
         ends = zip(pairwise(self.centreline), pairwise(self.radii.tolist()), strict=True)
         return Scene(tuple(RoundCone(a, b, p, q) for (a, b), (p, q) in ends))
 
+    @cached_property
+    def pieces(self) -> tuple[Corridor, ...]:
+        """Vessels between two points each, without an edge: where two meet, the wall may have one."""
+        radii = self.radii.tolist()
+        return tuple(
+            Corridor(ends, width) for ends, width in zip(pairwise(self.centreline), pairwise(radii), strict=True)
+        )
+
+    def depths(self, points: Array) -> Array:
+        """Distances (k, N) of points (N, 3) from the walls of all pieces, m; the largest is that from the wall."""
+        return -self._inside.distances(range(len(self._inside.bodies)), points)
+
     def distance(self, x: Any, y: Any, z: Any) -> Any:
         """Smooth signed distance from the wall, m; positive inside the vessel."""
         first, *following = self._inside.bodies

@@ -109,7 +109,7 @@ class LinearisedAmongWalls:
         place = free.position[(len(ENDS) - 1) * k].copy()
         if k == len(free.cuts) - 1:
             place -= free.pushed
-        at_end = not gap.slides and touch.arc_length > stretch.end - HERE
+        at_end = not len(gap.off) and touch.arc_length > stretch.end - HERE
         end = free.moved[(len(ENDS) - 1) * k] if at_end else np.zeros(self.size)
         place += np.outer(frame[:, 2], end)
         return ContactChange(place, np.cross(turn, frame[:, 2], axisa=0, axisc=0), end)
@@ -124,9 +124,7 @@ class LinearisedAmongWalls:
             change = self._at_contact(touch, gap)
             # lambda P'n at a contact whose normal turns, that slides, or that moves with the end of its tube.
             turned = gap.place.T @ gap.wall @ change.place
-            if gap.slides:
-                sloped = gap.normal @ change.tangent + gap.tangent @ gap.wall @ change.place
-                turned -= np.outer(gap.mixed, sloped) / gap.bend
+            turned += gap.mixed.T @ gap.shift(gap.by_tangent @ change.tangent + gap.by_point @ change.place)
             turning += touch.force * (turned + np.outer(gap.normal @ gap.turn, change.end))
             rows[k], closing[k] = gap.by_x, -(gap.normal @ change.place)
         second = self._touching.second_variation(state, touches)
@@ -144,7 +142,19 @@ class LinearisedAmongWalls:
     @property
     def contact_forces(self) -> Array:
         """Derivative (K, Q) of the sizes of the contact forces, base to tip, N."""
-        return self._further.forces
+        out = self._further.forces.copy()
+        for k, touch in enumerate(self.solved.pressed):
+            gap = self._touching.gap(self._state, touch)
+            size = float(np.linalg.norm(gap.normal))
+            out[k] *= size
+            if len(gap.off) == 2:
+                # At an edge n = m n_1 + (1 - m) n_2 is no unit vector.
+                change = self._at_contact(touch, gap)
+                place, tangent = change.place + gap.place @ self.x, change.tangent + gap.turn @ self.x
+                s, share = gap.shift(gap.by_tangent @ tangent + gap.by_point @ place)
+                turned = np.outer(gap.by_point[1], share) + gap.wall @ (place + np.outer(gap.tangent, s))
+                out[k] += touch.force * (gap.normal @ turned) / size
+        return out
 
     @cached_property
     def _curvature(self) -> Array:

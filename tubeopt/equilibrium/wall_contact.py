@@ -15,6 +15,11 @@ derivative of the gap is that of a dead force plus
 
     P' D P - b b' / g_ss,     b = T'n + P' D t,     g_ss = n.p'' + t' D t.
 
+Where two pieces of a vessel meet in an edge, the arm may stay on it: the larger one of two gaps is smallest where they
+are equal. Then g is the stationary value of m g_1 + (1 - m) g_2 by s and m, with 0 <= m <= 1. The force lambda n, with
+n = m n_1 + (1 - m) n_2, is normal to arm and edge. With y = (s, m) the last term becomes g_xy g_yy^-1 g_yx; y is (s)
+elsewhere, and empty at the end of a tube.
+
 Newton's method solves a quadratic program in every step: the dual problem, lambda >= 0, has one unknown per contact.
 The margin is the smallest eigenvalue of the second variation on the motions that keep pressed contacts closed.
 
@@ -23,6 +28,7 @@ The walls are first moved back until the arm is free, and then advance to their 
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -53,6 +59,9 @@ from .result import Equilibrium, Status, WallForce, WallState
 FLAT = 1e-9
 """Curvature g_ss, 1/m, of the gap along the arm below which a contact has no place of its own, as along a flat wall."""
 
+AROUND_EDGE, FLAT_EDGE = 3e-4, 1e-6
+"""Distance (m) along the arm within which an edge is sought, and slope of a gap along the arm that counts as none."""
+
 CURVATURE_STEP = 1e-6
 """Step (m) of the differences of gradients for the curvature of a wall: 1e-10 of it is round-off, as is the error."""
 
@@ -62,6 +71,9 @@ HERE = 1e-9
 DEEP, DEEP_ON_THE_WAY = 1e-7, 1e-6
 """Depth (m) of a wall in the arm from which it is a contact, at last and before: the arm between the shape points is
 interpolated to a few 1e-8 m, and on the way it is less accurate."""
+
+TOO_DEEP = 1e-5
+"""Depth (m) of a wall in the arm from which an answer is refused: at a corner, a contact may miss the wall."""
 
 SAME_PLACE = 1e-4
 """Distance (m) along the arm within which two contacts with one body count as one."""
@@ -81,6 +93,9 @@ LARGEST_TURN = 0.5
 WALL_STIFFNESS = 0.0, 1.0, 1e2, 1e4
 """Stiffness of closed contacts in whitened unknowns, where that of the tubes is 1; the first that suffices is used."""
 
+SAME_MOTION = 1e-13
+"""Part of the motion that closes a contact below which other contacts close with it, within round-off."""
+
 SHIFTS = tuple(0.1 * 4.0**k for k in range(12))
 """Shifts of a Hessian that is not positive definite, as in `solvers/newton.py`."""
 
@@ -90,6 +105,9 @@ ROUNDS = 40
 LAST_CHANGE, STALLED = 1e-9, 1e-7
 """Change (rad, or of a place as a fraction of the arm) after which Newton's method has converged; the second, if the
 changes no longer decrease: between two elements the arm has a kink of their error, which a contact may not pass."""
+
+RESERVE = 100.0
+"""Factor on the next change that is expected of Newton's method."""
 
 ON_THE_WAY = 1e-5
 """Last change for equilibria from which others are solved: Newton's method squares it in the next step."""
@@ -117,9 +135,19 @@ class Touch(NamedTuple):
     arc_length: float
     """Place s on the arm, m."""
     force: float = 0.0
-    """Contact force lambda, N."""
+    """Multiplier lambda, N: the size of the force, except at an edge."""
     normal: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Direction n of the force, away from the wall."""
+    """Direction n of the force, away from the wall; a unit vector except at an edge."""
+
+    @property
+    def size(self) -> float:
+        """Size of the force, N."""
+        return self.force * math.hypot(*self.normal)
+
+    def along(self, normal: Array) -> Touch:
+        """Contact with a force of the same size in the direction n (3,)."""
+        x, y, z = normal.tolist()
+        return self._replace(force=self.size / math.hypot(x, y, z), normal=(x, y, z))
 
     @property
     def point_load(self) -> PointLoad:
@@ -164,30 +192,55 @@ class Walls:
         return Touching(self, replace(member, problem=problem))
 
 
+class Side(NamedTuple):
+    """Wall near a point, where it is smooth."""
+
+    distance: float
+    """Distance of the point, m."""
+    normal: Array
+    """Gradient (3,) of the distance."""
+    curvature: Array
+    """Second derivative (3, 3) of the distance, 1/m."""
+
+    def with_share(self, share: float, other: Side) -> Side:
+        """Mean of this side and another one; `share` is the weight of this one."""
+        rest = 1 - share
+        return Side(
+            share * self.distance + rest * other.distance,
+            share * self.normal + rest * other.normal,
+            share * self.curvature + rest * other.curvature,
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Gap:
     """Gap at a possible contact, with its derivatives by the unknowns x (X,)."""
 
     value: float
-    """Gap g, m."""
+    """Gap, m."""
     normal: Array
-    """Gradient n (3,) of the distance."""
+    """Direction n (3,) away from the wall."""
     place: Array
     """Derivative P (3, X) of the point of the arm."""
     tangent: Array
     """Tangent t (3,) of the arm."""
     turn: Array
     """Derivative T (3, X) of the tangent."""
-    slope: float
-    """Derivative of g along the arm."""
-    bend: float
-    """Second derivative g_ss along the arm, 1/m."""
-    mixed: Array
-    """Derivative b (X,) of `slope`."""
     wall: Array
     """Second derivative D (3, 3) of the distance, 1/m."""
-    slides: bool
-    """True if the contact moves to the smallest gap; False where it stays, at the end of a tube."""
+    off: Array
+    """Derivatives (k,) of the gap by y, 0 at last: y is (s), (s, m) at an edge, () at the end of a tube."""
+    bend: Array
+    """Second derivative (k, k) of the gap by y."""
+    by_point: Array
+    """Derivative (k, 3) of `off` by the point of the arm, beside the tangent."""
+    by_tangent: Array
+    """Derivative (k, 3) of `off` by the tangent of the arm."""
+
+    @cached_property
+    def mixed(self) -> Array:
+        """Derivative (k, X) of `off` by x."""
+        return np.asarray(self.by_tangent @ self.turn + self.by_point @ self.place)
 
     @property
     def by_x(self) -> Array:
@@ -198,7 +251,13 @@ class Gap:
     def second(self) -> Array:
         """Second derivative (X, X) of the gap, less that of a dead force."""
         out = self.place.T @ self.wall @ self.place
-        return np.asarray(out - np.outer(self.mixed, self.mixed) / self.bend if self.slides else out)
+        return np.asarray(out + self.mixed.T @ self.shift(self.mixed))
+
+    def shift(self, change: Array) -> Array:
+        """Change of y (k, ...) that keeps `off` at 0 if it changes by `change` (k, ...)."""
+        if len(self.bend) < 2:  # without y, `change` is empty
+            return np.asarray(-change / self.bend.sum())
+        return np.asarray(-np.linalg.solve(self.bend, change))
 
 
 class Stretch(NamedTuple):
@@ -244,8 +303,14 @@ class Touching:
         k = min(int(np.searchsorted(ends, s - HERE)), len(ends) - 1)
         return Stretch(float(ends[k - 1]) if k else 0.0, float(ends[k]), float(radius[k]))
 
+    @cached_property
+    def _known_weights(self) -> dict[float, Array]:
+        return {}
+
     def weights(self, s: float) -> Array:
         """Weights (3, N) of the tangents at the points: for the position at s, and its first and second derivative."""
+        if s in self._known_weights:
+            return self._known_weights[s]
         mesh, t = self.member.problem.mesh, self.member.problem.mesh.tableau
         (element,), x = mesh.locate(np.array([s]))
         points = slice(element * t.degree, (element + 1) * t.degree)
@@ -253,6 +318,7 @@ class Touching:
         out[0, : points.start] = self.member.torsion.weight[: points.start]
         for k, integrals in enumerate((1, 0, -1)):
             out[k, points] = t.lagrange(x, integrals=integrals)[0] * h**integrals
+        self._known_weights[s] = out
         return out
 
     def problem(self, touches: Sequence[Touch]) -> LoadedProblem:
@@ -283,24 +349,53 @@ class Touching:
         weights = self.weights(touch.arc_length)
         point, along, bent = weights @ tangents(state.orientation.stage)
         place, turn = position_slopes(state.orientation, weights[:2]) @ state.curvature_slope
-        normal, wall = np.asarray(body.gradient(point)), wall_curvature(body, point)
-        slope, bend = float(normal @ along), float(normal @ bent + along @ wall @ along)
+        sides = self._sides(state, touch, stretch, point, along)
+        if len(sides) == 2:
+            before, after = sides
+            slopes = np.array([side.normal @ along for side in sides])
+            wall = before.with_share(float(slopes[1] / (slopes[1] - slopes[0])), after)
+        else:
+            wall = side_of(body, point)
+        slope, bend = float(wall.normal @ along), float(wall.normal @ bent + along @ wall.curvature @ along)
         # At the end of a tube the corner touches, unless the gap is smaller inside.
         inside = (touch.arc_length > stretch.start + HERE or slope < 0) and (
             touch.arc_length < stretch.end - HERE or slope > 0
         )
+        off, second = np.array([slope]), np.array([[bend]])
+        by_point, by_tangent = along[None] @ wall.curvature, wall.normal[None]
+        if len(sides) == 2:
+            apart, across = slopes[0] - slopes[1], before.normal - after.normal
+            off, second = np.array([0.0, before.distance - after.distance]), np.array([[bend, apart], [apart, 0.0]])
+            by_point, by_tangent = np.vstack([by_point, across]), np.vstack([by_tangent, np.zeros(3)])
+        elif not (inside and bend > FLAT):
+            off, second, by_point, by_tangent = off[:0], second[:0, :0], by_point[:0], by_tangent[:0]
         return Gap(
-            value=float(body.signed_distance(point)) - stretch.radius,
-            normal=normal,
+            value=wall.distance - stretch.radius,
+            normal=wall.normal,
             place=place,
             tangent=along,
             turn=turn,
-            slope=slope,
-            bend=bend,
-            mixed=normal @ turn + along @ wall @ place,
-            wall=wall,
-            slides=inside and bend > FLAT,
+            wall=wall.curvature,
+            off=off,
+            bend=second,
+            by_point=by_point,
+            by_tangent=by_tangent,
         )
+
+    def _sides(self, state: LoadedState, touch: Touch, stretch: Stretch, point: Array, along: Array) -> list[Side]:
+        """Both sides of an edge on which the arm stays at a contact, the one towards the base first; otherwise none."""
+        body: Any = self.walls.bodies[touch.body]
+        if not hasattr(body, "pieces"):
+            return []
+        ends = np.clip(touch.arc_length + np.array([-AROUND_EDGE, AROUND_EDGE]), stretch.start, stretch.end)
+        # Straight on: an edge is sought nearby.
+        first, last = body.depths(point + (ends - touch.arc_length)[:, None] * along).argmax(0).tolist()
+        if first == last:
+            return []
+        sides = [side_of(body.pieces[k], point) for k in (first, last)]
+        # Only on an edge does one gap grow where the other one shrinks.
+        shrinks, grows = (float(side.normal @ along) for side in sides)
+        return sides if shrinks < -FLAT_EDGE and grows > FLAT_EDGE else []
 
     def solve(
         self,
@@ -326,15 +421,18 @@ class Touching:
             moved, shift = [], 0.0
             for touch, gap, force in zip(known, gaps, step.forces.tolist(), strict=True):
                 s, stretch = touch.arc_length, self.stretch(touch.arc_length)
-                if gap.slides:
-                    # Newton's step of dg/ds = 0.
-                    s -= scale * (gap.slope + float(gap.mixed @ step.x)) / gap.bend
+                if len(gap.off):
+                    # Newton's step of dg/dy = 0.
+                    s += scale * float(gap.shift(gap.off + gap.mixed @ step.x)[0])
                     s = min(max(s, stretch.start), stretch.end)
                     shift = max(shift, abs(s - touch.arc_length) * (force > 0))
                 normal = gap.normal.tolist()
                 moved.append(Touch(touch.body, s, force, (normal[0], normal[1], normal[2])))
             change = max(turn, shift / length)
-            settled = change < last_change or (change < STALLED and change > last / 2)
+            # Newton's method with the same contacts squares its changes: the next one is about this.
+            same = scale == 1 and [t.force > 0 for t in known] == [t.force > 0 for t in moved]
+            following = change**3 / last**2 if same and change < last / 10 < np.inf else np.inf
+            settled = min(change, RESERVE * following) < last_change or (change < STALLED and change > last / 2)
             known, last = _merged(moved), change
             if settled:
                 return Solved(self, x, tuple(known), iteration)
@@ -371,17 +469,24 @@ class Touching:
         )
         return None if dual is None else _Step(free + solved[:, 1:] @ dual.x, dual.x)
 
-    def second_variation(self, state: LoadedState, touches: Sequence[Touch]) -> SecondVariation:
-        """Second variation on the motions that keep all contacts with a force closed."""
+    def curved(self, state: LoadedState, touches: Sequence[Touch]) -> tuple[Array, Array]:
+        """Second variation (X, X) on all motions, and the derivatives (K, X) of the gaps of contacts with a force."""
         hessian, rows = state.hessian.copy(), []
         for touch in touches:
             if touch.force > 0:
                 gap = self.gap(state, touch)
                 hessian -= touch.force * gap.second
                 rows.append(gap.by_x)
-        if not rows:
+        return hessian, np.array(rows).reshape(len(rows), len(hessian))
+
+    def second_variation(self, state: LoadedState, touches: Sequence[Touch]) -> SecondVariation:
+        """Second variation on the motions that keep all contacts with a force closed."""
+        hessian, rows = self.curved(state, touches)
+        if not len(rows):
             return SecondVariation(hessian, hessian, np.eye(len(hessian)))
-        motions = scipy.linalg.null_space(np.array(rows))
+        basis, triangle, _ = scipy.linalg.qr(rows.T, pivoting=True)
+        size = np.abs(np.diag(triangle))
+        motions = basis[:, (size > SAME_MOTION * size[0]).sum() :]
         return SecondVariation(hessian, motions.T @ hessian @ motions, motions)
 
 
@@ -451,6 +556,13 @@ class Solved:
         """Smallest eigenvalue of the second variation on motions that keep pressed contacts closed."""
         return least(self.touching.second_variation(self.state, self.touches).form)
 
+    @cached_property
+    def stable(self) -> bool:
+        """True if the margin is positive."""
+        # The stiffness of closed contacts does no work on motions that keep them closed.
+        hessian, rows = self.touching.curved(self.state, self.touches)
+        return _cholesky(hessian, WALL_STIFFNESS[-1] * _closed(rows)) is not None or self.margin > 0
+
     def point(self) -> Point[Loaded, LoadedState]:
         """Point of the equations with the contact forces as dead forces."""
         member = replace(self.touching.member, problem=self.touching.problem(self.touches))
@@ -516,15 +628,26 @@ def _definite(hessian: Array, rows: Array) -> Array | None:
     Closed contacts (K, X) allow no motion along their rows: stiffness added there changes no step that keeps them
     closed. A shift shortens steps.
     """
-    scaled = rows / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)[:, None]
-    closed = scaled.T @ scaled
+    closed = _closed(rows)
     for stiffness, shift in (*((k, 0.0) for k in WALL_STIFFNESS), *((WALL_STIFFNESS[-1], k) for k in SHIFTS)):
-        matrix = hessian + stiffness * closed
-        matrix.ravel()[:: len(matrix) + 1] += shift
-        factor, failed = scipy.linalg.lapack.dpotrf(matrix, lower=True)
-        if not failed:
-            return np.asarray(factor)
+        factor = _cholesky(hessian, stiffness * closed, shift)
+        if factor is not None:
+            return factor
     return None
+
+
+def _closed(rows: Array) -> Array:
+    """Stiffness (X, X) of closed contacts (K, X) of unit size."""
+    scaled = rows / np.maximum(np.linalg.norm(rows, axis=1), 1e-300)[:, None]
+    return np.asarray(scaled.T @ scaled)
+
+
+def _cholesky(hessian: Array, closed: Array, shift: float = 0.0) -> Array | None:
+    """Lower Cholesky factor of the sum of a Hessian, a stiffness and a shift; None if it is not positive definite."""
+    matrix = hessian + closed
+    matrix.ravel()[:: len(matrix) + 1] += shift
+    factor, failed = scipy.linalg.lapack.dpotrf(matrix, lower=True)
+    return None if failed else np.asarray(factor)
 
 
 def _merged(touches: Sequence[Touch]) -> list[Touch]:
@@ -540,12 +663,15 @@ def _merged(touches: Sequence[Touch]) -> list[Touch]:
     return out
 
 
-def wall_curvature(body: Obstacle, point: Array) -> Array:
-    """Second derivative (3, 3) of the distance of a body at a point (3,), 1/m, by differences of its gradients."""
-    around = point + CURVATURE_STEP * np.concatenate([np.eye(3), -np.eye(3)])
-    gradient = body.gradient(around)
-    out = (gradient[:3] - gradient[3:]) / (2 * CURVATURE_STEP)
-    return np.asarray((out + out.T) / 2)
+def side_of(body: Obstacle, point: Array) -> Side:
+    """Wall of a body near a point (3,); its curvature by differences of gradients."""
+    gradient = body.gradient(point + CURVATURE_STEP * STAR)
+    out = (gradient[1:4] - gradient[4:]) / (2 * CURVATURE_STEP)
+    return Side(float(body.signed_distance(point)), gradient[0], (out + out.T) / 2)
+
+
+STAR = np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+"""Directions (7, 3) to a point and its neighbours."""
 
 
 # --- Along a path of joint values -------------------------------------------------------------------------------------
@@ -579,7 +705,7 @@ def along_joints(
         distance = np.inf if following is None else following.distance(last.state)
         # The arm moves about as fast as before, or it has left the branch for another one.
         near = distance <= max(SMALL_MOTION, FASTER * rate * (t - last.t)) and distance <= LARGEST_TURN
-        if following is not None and near and following.margin > 0:
+        if following is not None and near and following.stable:
             rate = distance / (t - last.t)
             last, step = Milestone(t, following), min(2 * step, longest)
             yield last
@@ -608,7 +734,7 @@ def landed(lost: Solved) -> Solved:
         current, rate = following, rate / 4
         if at_rest:
             final = current.complete(0.0)
-            if final is not None and final.margin > 0:
+            if final is not None and final.stable:
                 return final
     raise SolveError("the arm snaps, and comes to rest nowhere among the walls")
 
@@ -656,7 +782,12 @@ def start_of(equilibrium: Equilibrium, walls: Walls, mesh: Discretisation = LOAD
     known = [] if equilibrium.walls is None else [touch_of(contact) for contact in equilibrium.walls.contacts]
     touching = walls.equations(equilibrium.rotations, tuple(equilibrium.translations.tolist()), known, mesh)
     theta, curvature = at_points(equilibrium, touching.member.problem)
-    return Solved(touching, touching.member.unknowns(theta, curvature), tuple(known), 0)
+    x = touching.member.unknowns(theta, curvature)
+    if any(hasattr(walls.bodies[touch.body], "pieces") for touch in known):
+        # At an edge the size of the force is not its multiplier.
+        state = touching.at(x, known)
+        known = [touch.along(touching.gap(state, touch).normal) for touch in known]
+    return Solved(touching, x, tuple(known), 0)
 
 
 def touch_of(contact: WallForce) -> Touch:
@@ -742,7 +873,11 @@ def _described(equilibrium: Equilibrium, solved: Solved) -> Equilibrium:
     """Equilibrium with its contacts, and the margin that they give."""
     touching, state, walls = solved.touching, solved.state, solved.touching.walls
     second = touching.second_variation(state, solved.touches)
-    margin, surface = least(second.form), ArmSurface(equilibrium)
+    stiffness, surface = stiffnesses(second.form, symmetric=True), ArmSurface(equilibrium)
+    margin = min(1.0, float(stiffness.min(initial=1.0)))
+    clearance = surface.clearance(walls.scene)
+    if clearance < -TOO_DEEP:
+        raise SolveError(f"{Status.NOT_CONVERGED}: a wall is {-1e3 * clearance:.3g} mm deep in the arm", equilibrium)
     contacts = []
     for touch in solved.pressed:
         x, y, z = surface.centreline(np.array([touch.arc_length]))[0].tolist()
@@ -750,10 +885,10 @@ def _described(equilibrium: Equilibrium, solved: Solved) -> Equilibrium:
     return replace(
         equilibrium,
         margin=margin,
-        index=int((stiffnesses(second.form, symmetric=True) < 0).sum()),
+        index=int((stiffness < 0).sum()),
         status=Status.STABLE if margin > 0 else Status.UNSTABLE,
         work=touching.member.at(solved.x).work,
-        walls=WallState(tuple(contacts), surface.clearance(walls.scene), walls.load, walls.bodies),
+        walls=WallState(tuple(contacts), clearance, walls.load, walls.bodies),
     )
 
 

@@ -178,7 +178,7 @@ class _Lead:
         end, solves, largest = None, 0, 0.0
         for step in along_joints(current.solved, rotations, np.array(translations), SHORTEST):
             end, solves = step, solves + 1
-            largest = max((touch.force for touch in step.state.pressed), default=largest)
+            largest = max((touch.size for touch in step.state.pressed), default=largest)
             if largest > self.largest_force:
                 return Restored(None, solves)
         if end is None or end.t < 1 or end.state.margin < min(self.min_margin, current.margin):
@@ -292,5 +292,5 @@ def _start(space: JointSpace, start: Equilibrium, walls: Walls) -> _AmongWalls:
     """First posture."""
     solved = start_of(start, walls)
     q = space.join(start.rotations, start.translations, "start")
-    largest = max((touch.force for touch in solved.pressed), default=0.0)
+    largest = max((touch.size for touch in solved.pressed), default=0.0)
     return _AmongWalls(space, q, start, solved, largest)
