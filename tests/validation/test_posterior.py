@@ -12,14 +12,14 @@ import pytest
 import scipy
 from scipy.spatial.transform import Rotation
 
-from tubeopt import ConcentricRobot, InputError, Tube, forward_kinematics, load_robot
+from tubeopt import ConcentricRobot, InputError, Tube, follow, forward_kinematics, load_robot
 from tubeopt.bodies.obstacles import scene_of
 from tubeopt.cli.app import main
 from tubeopt.equilibrium.arm_surface import ArmSurface
 from tubeopt.files.yaml_file import to_yaml
 from tubeopt.robots.calibration import Posterior
 from tubeopt.runs.plan_study import Required, load_plan_study, of_real_robot
-from tubeopt.validation import Fit, FitOptions, Measurements, fit, real_robots, uncertainty, validate
+from tubeopt.validation import Fit, FitOptions, Measurements, fit, path_bounds, real_robots, uncertainty, validate
 from tubeopt.validation.certainty import certificate_bounds, expected_error
 from tubeopt.validation.effects import Setup
 from tubeopt.validation.fitting import FitProblem, sessions
@@ -270,6 +270,24 @@ def test_plans_and_checks_keep_their_bounds(tmp_path: Path) -> None:
     replace(robot_of, posterior=None).save(tmp_path / "robot.yaml")
     with pytest.raises(InputError, match="no posterior"):
         load_plan_study(tmp_path / "plan.yaml")
+
+
+def test_bounds_on_a_path_hold_between_its_rows() -> None:
+    """The margin is small within a few degrees of a turn of 360 deg, which has two rows."""
+    drawn = uncertain(["curvature_1", "rotation_2", "translation_2"], ["1/m", "rad", "m"], [0.15, 0.04, 0.4 * MM])
+    less = replace(drawn, tubes=tuple(replace(tube, curvature=0.7 * tube.curvature) for tube in drawn.tubes))
+    reals, turn = real_robots(less), np.radians([[0.0, 0.0], [360.0, 0.0]])
+    assert reals is not None
+    told = path_bounds(forward_kinematics(less, turn[0]), turn, np.zeros((2, 2)))
+    assert told is not None
+    dense = np.column_stack([np.linspace(0, 2 * np.pi, 250), np.zeros(250)])
+    margins = []
+    for z in np.random.default_rng(0).normal(size=(100, reals.size)):
+        way = follow(*reals.at(z, dense, np.zeros((250, 2))))
+        margins.append(0.0 if way.snaps else min(e.margin for e in way.equilibria))
+    assert 0.01 <= (np.array(margins) < told.margin[0]).mean() <= 0.1
+    assert (np.array(margins) < told.margin[1]).mean() <= 0.01
+    assert told.margin[0] < 0.16
 
 
 def test_certificates_of_tubes_that_may_be_more_curved() -> None:

@@ -180,7 +180,11 @@ def of_real_robot(
     confidence = required.confidence
     probabilities = PROBABILITIES if confidence is None else (confidence,)
     real = path_bounds(proof.samples[0], rotations, translations, scene_of(bodies) if bodies else None, probabilities)
-    if real is None or confidence is None:
+    if real is None:
+        return proof
+    # The proof holds between the configurations at which real robots are solved.
+    real = replace(real, margin=tuple(min(each, proof.least_margin) for each in real.margin))
+    if confidence is None:
         return replace(proof, real=real)
     faults, shown = list(proof.faults), f"with {100 * confidence:g} % the real robot has"
     if real.margin[0] < required.margin or not real.margin[0]:

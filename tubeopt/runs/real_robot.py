@@ -151,16 +151,10 @@ def _routes(poses: Sequence[Equilibrium], *, together: bool) -> Iterable[Sequenc
     return [poses] if together and poses else [[pose] for pose in poses]
 
 
-# Rows of the joint path from one task pose to the next.
-PARTS = 24
-
-
 def _along(route: Sequence[Equilibrium], probabilities: Sequence[float], scene: Scene | None) -> PathBounds:
     """Bounds on the real robot at poses, and on the joint paths between them."""
-    at = np.linspace(0, len(route) - 1, PARTS * (len(route) - 1) + 1)
     rotations, translations = (
-        np.column_stack([np.interp(at, np.arange(len(route)), column) for column in np.transpose(table)])
-        for table in ([e.rotations for e in route], [e.translations for e in route])
+        np.array(table) for table in ([e.rotations for e in route], [e.translations for e in route])
     )
     bounds = path_bounds(route[0], rotations, translations, scene, probabilities)
     assert bounds is not None

@@ -34,6 +34,7 @@ from ..robots.assembly import DIMENSIONS, dimensions_of
 from ..robots.calibration import Calibration, PathBounds, Posterior
 from ..robots.robot import Robot
 from ..stability import snap_distance
+from ..stability.following import Path, follow
 from ..typing import Array
 from .effects import MOUNTS, Setup
 from .parameters import Parameter, apply, choose_parameters
@@ -58,8 +59,13 @@ SMALL, STEP, SECANT = 1e-3, 0.05, 0.5
 # Largest change of a quantity in a step, of one that may become infinite.
 BOUND = 1e3
 
-# Configurations of a path at which real robots are solved: rows in equal steps of the joints.
-WAYPOINTS = 24
+# Largest step of a joint between configurations of a path at which real robots are solved, rad; 1 m counts as 20 rad.
+# Near a snap a margin changes by 1 per rad. So steps are smaller where the margin of the calibrated robot is small, and
+# so near to its least that another robot may have its least there.
+ROW_STEP, FINE_STEP, NEAR_LEAST, SMALL_MARGIN = 0.05, 0.01, 0.15, 0.6
+
+# Most of these configurations, of either step.
+MOST_ROWS = 400
 
 # Steps of the search for the least margin; later ones change its third digit.
 SEARCH = 4
@@ -412,8 +418,9 @@ def path_bounds(
 ) -> PathBounds | None:
     """Bounds on margin and clearance of the real robot along joint values (T, n) of the calibrated one.
 
-    Each real robot starts on the branch of the `first` equilibrium, and follows the path from row to row at the
-    readings of the drives. Bodies are in the frame of the registered plate. None without a posterior.
+    Joints move linearly from row to row. Each real robot starts on the branch of the `first` equilibrium, and follows
+    the path at the readings of the drives. Where it snaps, margin and clearance are 0. Bodies are in the frame of the
+    registered plate. None without a posterior.
 
     Raises:
         InputError: a probability is not between 0.5 and 1.
@@ -422,30 +429,45 @@ def path_bounds(
     check_probabilities(probabilities)
     if reals is None or first.robot.posterior is None:
         return None
+    joints = np.hstack([rotations, translations])
     moved = np.abs(np.diff(np.hstack([rotations, 20.0 * translations]), axis=0)).max(1)
     travelled = np.append(0.0, np.cumsum(moved))
-    rows = np.unique(np.searchsorted(travelled, np.linspace(0, travelled[-1], WAYPOINTS)))
-    path = rotations[rows], translations[rows]
+
+    def interpolated(at: Array) -> tuple[Array, Array]:
+        table = np.column_stack([np.interp(at, travelled, column) for column in joints.T])
+        return table[:, : first.robot.n_tubes], table[:, first.robot.n_tubes :]
+
+    def followed(real: Real) -> Path:
+        start = forward_kinematics(real.robot, real.rotations[0], real.translations[0], load=first.load, start=first)
+        return follow(real.robot, real.rotations, real.translations, load=first.load, start=start)
+
+    coarse, fine = (
+        np.linspace(0, travelled[-1], 1 + min(int(np.ceil(travelled[-1] / step)), MOST_ROWS))
+        for step in (ROW_STEP, FINE_STEP)
+    )
+    calibrated = followed(reals.at(np.zeros(reals.size), *interpolated(coarse)))
+    margins = np.array([near.margin for near in calibrated.equilibria])
+    near_least = np.interp(fine, coarse, margins) < min(margins.min() + NEAR_LEAST, SMALL_MARGIN)
+    rows = np.union1d(coarse, fine[near_least])
+    path, cleared = interpolated(rows), np.flatnonzero(np.isin(rows, coarse)).tolist()
 
     @lru_cache(maxsize=4 * reals.size)
     def least(z: tuple[float, ...]) -> tuple[float, float]:
-        real, near = reals.at(np.array(z), *path), first
+        way = followed(reals.at(np.array(z), *path))
+        if way.snaps:
+            return 0.0, 0.0
         turn, shift = np.split(reals.plate @ np.array(z), 2)
         matrix = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
-        margin, clearance = np.inf, np.inf
-        for alpha, beta in zip(real.rotations, real.translations, strict=True):
-            near = forward_kinematics(real.robot, alpha, beta, load=first.load, start=near)
-            margin = min(margin, near.margin)
-            if margin <= 0:
-                return 0.0, 0.0
-            if scene is not None:
+        margin, clearance = min(near.margin for near in way.equilibria), np.inf
+        if scene is not None:
+            for near in (way.equilibria[k] for k in cleared):
                 arm = replace(near.arm, position=near.position @ matrix.T + shift, frame=matrix @ near.frame)
                 clearance = min(clearance, ArmSurface(replace(near, arm=arm)).clearance(scene))
         return margin, clearance
 
-    margins = reals.least(lambda z: least(tuple(z.tolist()))[0], probabilities)
-    clearances = np.full(len(margins), np.inf)
+    least_margins = reals.least(lambda z: least(tuple(z.tolist()))[0], probabilities)
+    clearances = np.full(len(least_margins), np.inf)
     if scene is not None and scene.bodies:
         reserve = scipy.special.ndtri(probabilities) * first.robot.posterior.misfit
         clearances = reals.least(lambda z: least(tuple(z.tolist()))[1], probabilities) - reserve
-    return PathBounds(tuple(probabilities), tuple(margins.tolist()), tuple(clearances.tolist()))
+    return PathBounds(tuple(probabilities), tuple(least_margins.tolist()), tuple(clearances.tolist()))
