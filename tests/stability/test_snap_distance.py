@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from dataclasses import replace
 
@@ -14,6 +15,8 @@ from tubeopt import (
     Friction,
     InputError,
     Load,
+    Piece,
+    Tube,
     find_equilibria,
     find_load_limit,
     find_snap,
@@ -366,9 +369,55 @@ def test_a_form_without_slides_is_that_of_turns() -> None:
     assert not still.proves(still.boxes(1.02 * r))
 
 
+def test_slides_of_a_tube_cut_into_equal_pieces_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.modules["tubeopt.stability.snap_distance"], "compiled_motion", lambda *_, **__: None)
+    even = load_robot(CONFIGS / "two_tube.yaml")
+    parts = (0.4, 0.6)
+    cut = ConcentricRobot(
+        [
+            Tube.of_pieces(
+                tube.outer_diameter,
+                tube.inner_diameter,
+                [Piece(part * tube.curved_length, tube.curvature) for part in parts],
+                straight_length=tube.straight_length,
+                material=tube.material,
+            )
+            for tube in even.tubes
+        ]
+    )
+    one, two = (
+        snap_distance(forward_kinematics(robot, [1.2, -0.9], even.home_translations - 0.01)) for robot in (even, cut)
+    )
+    assert two.time(3.0, 0.03) == pytest.approx(one.time(3.0, 0.03), rel=1e-9)
+
+
+def test_nothing_snaps_while_tubes_bent_both_ways_turn_and_slide() -> None:
+    """Pieces that bend the other way come to places where others were: couplings change their sign."""
+    inner = Tube.of_pieces(1.0e-3, 0.8e-3, [Piece(0.03, 16.0), Piece(0.04, -16.0)], straight_length=0.1)
+    pieces = [Piece(0.02, 14.0), Piece(0.01, 0.0), Piece(0.03, -14.0)]
+    robot = ConcentricRobot([inner, Tube.of_pieces(1.5e-3, 1.2e-3, pieces, straight_length=0.06)])
+    q, shift = np.array([0.5, 3.0]), np.array([-0.03, -0.01])
+    arm = forward_kinematics(robot, q, shift)
+    time = snap_distance(arm).time(3.0, 0.03)
+    assert time == pytest.approx(0.053047, rel=1e-3)
+    # Both tubes turn and slide against each other: the corner with the nearest snap.
+    folds = []
+    for signs in itertools.product((-1.0, 1.0), repeat=4):
+        end = q + 0.6 * np.array(signs[:2]), shift + 0.006 * np.array(signs[2:])
+        snap = find_snap(robot, (q, shift), end, equilibrium=arm)
+        folds += [] if snap is None else [0.2 * snap.fraction]
+    assert min(folds) == pytest.approx(0.119194, rel=1e-4)
+    random = np.random.default_rng(0)
+    corners = 0.9999 * time * random.choice([-1.0, 1.0], (12, 4)) * [3.0, 3.0, 0.03, 0.03]
+    corners[[0, -1]] = 0.0
+    passed = follow(robot, q + corners[:, :2], shift + corners[:, 2:], start=arm)
+    assert not passed.snaps
+    assert passed.equilibria[-1].tip_position == pytest.approx(arm.tip_position, abs=1e-7)
+
+
 def test_slides_of_other_tubes_are_refused() -> None:
     pieces = load_robot(CONFIGS / "example_pieces.yaml")
-    with pytest.raises(InputError, match="made of pieces"):
+    with pytest.raises(InputError, match="tube 1 has several stiffnesses, or does not bend about its x axis only"):
         _ = snap_distance(forward_kinematics(pieces, np.zeros(pieces.n_tubes))).slide
     with pytest.raises(InputError, match="turn_rate and shift_rate are both 0"):
         snap_distance(forward_kinematics(THESIS, [0, 0, 0])).time(0.0, 0.0)

@@ -27,7 +27,8 @@ new breakpoints:
     x = J (d + delta T / kt) + G (w h(x) - (w' - w) sin(psi + x)).
 
 The arm is cut at the breakpoints before and after the slides, once for each choice of their directions. H is taken at
-the longest transmissions, which are the softest, and at the coupling that makes it least.
+the longest transmissions, which are the softest, and at the coupling that makes it least. Between two cuts the same
+pieces of a tube pass by; a coupling is between those of any two of them, and may change its sign.
 
 Under a known dead load the second variation and the map are others: `loaded_distance`.
 
@@ -53,6 +54,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,6 +68,9 @@ from ..equilibrium.problem import reduced_problem
 from ..equilibrium.result import Equilibrium, refuse_contact
 from ..errors import InputError, positive
 from ..robots.eccentric import BundleRobot
+from ..robots.pieces import Series
+from ..robots.robot import Robot
+from ..robots.tubes import stretches
 from ..solvers.blas import small
 from ..solvers.time_limit import TIME_LIMIT, check_time, limited
 from ..typing import Array, Mask, StatusEnum
@@ -106,6 +111,9 @@ SMALLEST = 1e-6
 SECTORS = 4
 """Number of tubes up to which S is proved by its n! simplices. They give a median of 0.93 of the true distance, one box
 for all of S 0.84; for five tubes 120 simplices would take a second."""
+
+SAME_PLANE = 1e-12
+"""Relative error of a precurvature that is in one plane: rounding of an angle."""
 
 FARTHEST = 2 * FULL_TURN
 """Largest rotation of one tube in the search of its fold, rad: a branch may continue after a full turn."""
@@ -190,7 +198,8 @@ class SnapDistance(Displayed):
         A tube at the end of its actuator moves backward only.
 
         Raises:
-            InputError: eccentric tubes, and tubes made of pieces, for which no such distance is known.
+            InputError: eccentric tubes, and tubes that do not bend in one plane with one stiffness, for which no such
+                distance is known.
         """
         return self._largest(0.0, 1.0)
 
@@ -233,11 +242,13 @@ class SnapDistance(Displayed):
     def _largest(self, turn_rate: float, shift: float) -> float:
         """Largest factor at which a turn (rad) and a slide (m) of all tubes are proved to cause no snap."""
         e = _unloaded(self.equilibrium, "slide")
-        if e.robot.assembly(e.translations).eccentric or not e.robot.even:
-            raise InputError("robot has eccentric tubes or tubes made of pieces; a slide is known for others only")
+        if e.robot.assembly(e.translations).eccentric:
+            raise InputError("robot has eccentric tubes; a slide is known for concentric tubes only")
+        planar_tubes(e.robot)
         longest = max(tube.length for tube in e.robot.tubes)
         largest = max(longest / shift, math.pi / turn_rate if turn_rate else 0.0)
-        compiled = compiled_motion(e, turn_rate, shift, most=largest, precision=SLOW_PRECISION)
+        even = e.robot.even
+        compiled = compiled_motion(e, turn_rate, shift, most=largest, precision=SLOW_PRECISION) if even else None
         if compiled is not None:
             return compiled
 
@@ -266,12 +277,77 @@ class SnapDistance(Displayed):
         return np.full(len(direction), np.nan) if snap is None else snap.rotations - e.rotations
 
 
+class PlanarTube(NamedTuple):
+    """Tube of one stiffness that bends in one plane, as C stretches from its clamped end."""
+
+    ends: Array
+    """(C,) arc length from the clamped end at which each stretch ends, m."""
+    curvature: Array
+    """(C,) precurvature about x, 1/m."""
+    bending: float
+    """Bending stiffness, N m^2."""
+    torsional: float
+    """Torsional stiffness, N m^2."""
+
+
+def planar_tubes(robot: Robot) -> list[PlanarTube]:
+    """Stretches of the tubes; raises InputError for a tube of several stiffnesses, or not bent about x only."""
+    tubes = []
+    for k, tube in enumerate(robot.tubes, start=1):
+        parts = stretches(tube)
+        # (C, 5) precurvature x, y, z, and both stiffnesses.
+        rows = [[q for q in (*part.precurvature, *part[2:]) if not isinstance(q, Series)] for part in parts]
+        table = np.array(rows) if all(len(row) == 5 for row in rows) else np.full((1, 5), np.nan)
+        x, stiffness = table[:, 0], table[:, 3:]
+        planar = (np.abs(table[:, 1:3]) <= SAME_PLANE * np.maximum(np.abs(x), 1.0)[:, None]).all()
+        if not planar or (stiffness != stiffness[0]).any():
+            raise InputError(
+                f"tube {k} has several stiffnesses, or does not bend about its x axis only with constant curvature in "
+                "each piece; a slide is known for other tubes"
+            )
+        ends = np.cumsum([part.length for part in parts])
+        tubes.append(PlanarTube(ends, x, *stiffness[0].tolist()))
+    return tubes
+
+
+class _Stretches(NamedTuple):
+    """Curvature and presence of a tube at arc lengths (X,) of an arm while it slides from one place to another."""
+
+    now: Array
+    """Curvature before the slide, 1/m; 0 without the tube."""
+    low: Array
+    """Smallest curvature."""
+    high: Array
+    """Largest curvature."""
+    there: Mask
+    """True where the tube is before the slide."""
+    always: Mask
+    """True where it is during all of the slide."""
+    once: Mask
+    """True where it is during a part of the slide."""
+
+    @staticmethod
+    def of(tube: PlanarTube, at: Array, held: Array) -> _Stretches:
+        """Stretches at arc lengths `at` (X,), m; `held` (2,) transmission lengths before and after the slide."""
+        stretch = np.searchsorted(tube.ends, at + held[:, None])
+        first, last, count = stretch.min(0), stretch.max(0), len(tube.ends)
+        curvature = np.append(tube.curvature, 0.0)
+        seen = (first[:, None] <= np.arange(count + 1)) & (np.arange(count + 1) <= last[:, None])
+        low, high = np.where(seen, curvature, np.inf).min(1), np.where(seen, curvature, -np.inf).max(1)
+        return _Stretches(curvature[stretch[0]], low, high, stretch[0] < count, last < count, first < count)
+
+    @property
+    def bends(self) -> Mask:
+        """Mask (X,) of where it is bent at any time."""
+        return np.asarray((self.low != 0) | (self.high != 0))
+
+
 @dataclass(frozen=True, eq=False)
 class Slides:
     """Effect of sliding the n tubes, each from 0 to its largest translation, on P couplings."""
 
     lower: Array
-    """(P,) smallest coupling, J."""
+    """(P,) smallest coupling, J; below 0 where a piece that bends the other way may come."""
     upper: Array
     """(P,) largest coupling, J."""
     turn: Array
@@ -319,13 +395,13 @@ class PairForm(Form):
 
     @staticmethod
     def sliding(equilibrium: Equilibrium, slide: Array) -> PairForm:
-        """Pair form of even concentric tubes, on a mesh cut at the breakpoints before and after slides (n,), m."""
+        """Pair form of planar concentric tubes, on a mesh cut at the breakpoints before and after slides (n,), m."""
         robot, shift, n = equilibrium.robot, equilibrium.translations, equilibrium.robot.n_tubes
         slide = np.minimum(slide, np.array([tube.straight_length for tube in robot.tubes]) - shift)
         before, after = robot.assembly(shift), robot.assembly(shift + slide)
-        kb, kt, m = before.bending_stiffness, before.torsional_stiffness, before.bending_stiffness * before.curvature
-        straight = np.maximum([before.transition, after.transition], 0)
-        end = np.array([before.end, after.end])
+        tubes = planar_tubes(robot)
+        kb, kt = (np.array([getattr(tube, name) for tube in tubes]) for name in ("bending", "torsional"))
+        moves = [np.array([each.transmission[i] for each in (before, after)]) for i in range(n)]
 
         meshes = [
             reduced_problem(robot, tuple(at.tolist()), discretisation_of(equilibrium)).mesh
@@ -334,29 +410,40 @@ class PairForm(Form):
         longest = min(
             mesh.length[mesh.collocated].max(initial=0.0) or mesh.length.max(initial=0.0) or np.inf for mesh in meshes
         )
-        cuts = np.unique(np.maximum([straight, end], 0).round(12))
-        middle = (cuts[:-1] + cuts[1:])[:, None] / 2
-        coupled = ((straight.min(0) < middle) & (middle < end.max(0))).sum(1) > 1
+        places = [tube.ends - held for tube, both in zip(tubes, moves, strict=True) for held in both]
+        cuts = np.unique(np.maximum(np.concatenate([[0.0], *places]), 0).round(12))
+        stretch = [
+            _Stretches.of(tube, (cuts[:-1] + cuts[1:]) / 2, both) for tube, both in zip(tubes, moves, strict=True)
+        ]
+        coupled = np.sum([each.bends for each in stretch], axis=0) > 1
         counts = np.maximum(np.ceil(coupled * np.diff(cuts) / longest), 1).astype(int)
         tableau = meshes[0].tableau
         length = np.repeat(np.diff(cuts) / counts, counts)
         start = cuts[0] + np.concatenate([[0.0], np.cumsum(length)[:-1]])
         s = (start[:, None] + length[:, None] * tableau.nodes).ravel()
-        at = np.repeat(start + length / 2, tableau.degree)[:, None]
-        ever, always = (straight.min(0) < at) & (at < end.max(0)), (straight.max(0) < at) & (at < end.min(0))
-        now = (straight[0] < at) & (at < end[0])
+        # (X, n) at the points.
+        along = np.repeat(np.arange(len(cuts) - 1), counts * tableau.degree)
+        now, low, high, there, always, once = (
+            np.stack([getattr(each, name)[along] for each in stretch], axis=1) for name in _Stretches._fields
+        )
+        ever = (low != 0) | (high != 0)
 
         first, second = np.triu_indices(n, 1)
-        a, pair = np.nonzero((ever & (m != 0))[:, first] & (ever & (m != 0))[:, second])
+        a, pair = np.nonzero(ever[:, first] & ever[:, second])
         i, j = first[pair], second[pair]
         D, both = np.eye(n)[i] - np.eye(n)[j], (np.eye(n)[i] + np.eye(n)[j]) > 0
-        product = np.outer(length, tableau.weights).ravel()[a] * np.abs(m[i] * m[j])
+        weight = np.outer(length, tableau.weights).ravel()[a] * kb[i] * kb[j]
         # K of the tubes that are there: before, always, and for any of the slides.
-        stiffness, min_stiffness, max_stiffness = (
-            ((at[a] < ends) | both) @ kb for ends in (end[0], end.min(0), end.max(0))
-        )
-        w = np.where(now[a, i] & now[a, j], product / stiffness, 0.0)
-        lower, upper = np.where(always[a, i] & always[a, j], product / max_stiffness, 0.0), product / min_stiffness
+        stiffness, min_stiffness, max_stiffness = ((present[a] | both) @ kb for present in (there, always, once))
+        corners = np.stack([one[a, i] * two[a, j] for one in (low, high) for two in (low, high)])
+        least, most, product = corners.min(0), corners.max(0), now[a, i] * now[a, j]
+        # A tube curved backwards pulls in the opposite direction: half a turn is in the angle, and w > 0.
+        back = np.where(product == 0, least + most, product) < 0
+        half = np.where(back, np.pi, 0.0)
+        least, most = np.where(back, -most, least), np.where(back, -least, most)
+        w = weight * np.abs(product) / stiffness
+        lower = weight * least / np.where(least < 0, min_stiffness, max_stiffness)
+        upper = weight * most / np.where(most < 0, max_stiffness, min_stiffness)
 
         rate = np.broadcast_to(1 / kt[:, None, None], (n, len(length), tableau.degree))
         A, softest = (
@@ -364,9 +451,9 @@ class PairForm(Form):
             for held in (before.transmission, np.maximum(before.transmission, after.transmission))
         )
         A, softest = (each[i, a] - each[j, a] for each in (A, softest))
-        half = np.where(m[i] * m[j] < 0, np.pi, 0.0)
+        end = before.end
         theta = np.where(
-            s[:, None] > end[0], equilibrium.tip_rotations, sample_rotation(equilibrium, np.minimum(s, end[0].max()))
+            s[:, None] > end, equilibrium.tip_rotations, sample_rotation(equilibrium, np.minimum(s, end.max()))
         )
         psi = theta[a, i] - theta[a, j] + half
         z = -A.T @ (w * np.sin(psi))
@@ -403,10 +490,8 @@ class PairForm(Form):
         # The range of the sine.
         bottom, top = range_of_cosine(self.psi - u[..., :count] - np.pi / 2, self.psi + u[..., count:] - np.pi / 2)
         # Torques T = D' w' sin of the weakest or strongest coupling; turns of the bases from none to the whole one.
-        lower, upper = (
-            np.minimum(slides.lower * bottom, slides.upper * bottom),
-            np.maximum(slides.lower * top, slides.upper * top),
-        )
+        pulls = np.stack([w * sine for w in (slides.lower, slides.upper) for sine in (bottom, top)])
+        lower, upper = pulls.min(0), pulls.max(0)
         torques = widened(slides.D.T, np.concatenate([-lower, upper], axis=-1))
         turns = np.maximum(widened(np.diag(slides.turn), torques), 0)
         # -(w' - w) sin, where w' - w is between least - w and most - w.
@@ -439,10 +524,12 @@ class PairForm(Form):
         """(S,) lower bound of the eigenvalues of H in each of the boxes (S, 2 P): at the smallest cosines."""
         count = len(self.psi)
         cosine = range_of_cosine(self.psi - u[..., :count], self.psi + u[..., count:])[0]
-        A, w = self.A, self.w
+        A, pull = self.A, self.w * cosine
         if self.slides is not None:
-            A, w = self.slides.A, np.where(cosine < 0, self.slides.upper, self.slides.lower)
-        return np.asarray(1 + np.linalg.eigvalsh((A.T * (w * cosine)[:, None, :]) @ A)[:, 0])
+            A, lower, upper = self.slides.A, self.slides.lower, self.slides.upper
+            # A coupling that changes its sign may be negative where the cosine is 1.
+            pull = np.minimum(np.minimum(lower * cosine, upper * cosine), np.where(lower < 0, lower, np.inf))
+        return np.asarray(1 + np.linalg.eigvalsh((A.T * pull[:, None, :]) @ A)[:, 0])
 
     def under_force(self, force: float, softening: float, torques: Array) -> Array | None:
         """(P,) largest change of the angles, rad, by dead tip forces of at most `force` (N), also while they change.
