@@ -464,4 +464,4 @@ def test_braking_is_checked_where_breakpoints_meet(monkeypatch: pytest.MonkeyPat
     assert end is not None
     monkeypatch.setattr("tubeopt.control.servo.BRAKING", (0.0, 1.0))
     assert not guard._can_brake(end, 0.06, 1e-3)
-    assert not guard._keeps_at_kinks(ends[1], 0.06)
+    assert not guard._keeps_at_kinks(ends[0], ends[1], 0.06)

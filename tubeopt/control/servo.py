@@ -99,11 +99,12 @@ class Guard:
         self.acceleration: Array = np.where(rotation, *accelerations)
         self.rate: Array = np.where(rotation, options.turn_rate, options.shift_rate)
         self.limited = bool(np.isfinite(self.acceleration).any())
-        breaks = breakpoints_at_zero(self.space)
-        self._carriage: Index = np.array([robot.n_tubes + carriage for carriage, _ in breaks], dtype=np.intp)
-        """(b,) joint that moves each breakpoint."""
-        self._zero: Array = np.array([s for _, s in breaks])
-        """(b,) arc length of each breakpoint at the value 0 of this joint, m."""
+        breaks = [*breakpoints_at_zero(self.space), (0, None)]
+        one, two = np.triu_indices(len(breaks), 1)
+        moved = np.array([np.eye(len(self.posture.q))[robot.n_tubes + c] * (s is not None) for c, s in breaks])
+        zero = np.array([s or 0.0 for _, s in breaks])
+        self._apart: tuple[Array, Array] = ((moved[one] - moved[two]).T, zero[one] - zero[two])
+        """(m, p) slopes and (p,) distances at joint values 0, m, of pairs of breakpoints, the plate among them."""
         self.sight = 0.0
         """Distance (m) up to which bodies are searched at the end of a step: once for the guard and the next step."""
 
@@ -163,7 +164,7 @@ class Guard:
         for halving in range(HALVINGS + 1):
             q = current.q + change / 2**halving
             posture = self._passes(q, floor)
-            if posture is not None and not self.limited and not self._keeps_at_kinks(q, floor):
+            if posture is not None and not self.limited and not self._keeps_at_kinks(current.q, q, floor):
                 posture = None
             ball = None if posture is None else self._proved(posture)
             if posture is None or ball is None:
@@ -229,14 +230,17 @@ class Guard:
         def margin(time: float) -> float:
             return self._margin(place(time), self.arm)
 
-        if not self._keeps_at_kinks(q, floor):
+        if not self._keeps_at_kinks(self._joints(self.arm), q, floor):
             return False
-        least, at = rest.margin, len(BRAKING) - 1
+        least, at, here = rest.margin, len(BRAKING) - 1, q
         for k, (time, next_time) in enumerate(pairwise(BRAKING)):
-            found = margin(time)
-            if found < floor or any(margin(kink) < floor for kink in self._kinks(place, time, next_time)):
+            there = place(next_time)
+            found = self._margin(here, self.arm)
+            if found < floor:
                 return False
-            least, at = min((least, at), (found, k))
+            if self._meet(here, there) and any(margin(kink) < floor for kink in self._kinks(place, time, next_time)):
+                return False
+            least, at, here = *min((least, at), (found, k)), there
         neighbours = BRAKING[max(at - 1, 0) : at + 2] if least < floor + 4 * ROOM else ()
         return all(margin((one + two) / 2) >= floor for one, two in pairwise(neighbours))
 
@@ -248,13 +252,15 @@ class Guard:
             return -1.0
         return -1.0 if reached is None else reached.margin
 
-    def _keeps_at_kinks(self, q: Array, floor: float) -> bool:
-        """True if the margin keeps a floor where breakpoints meet on the straight path of the robot to q (m,).
+    def _keeps_at_kinks(self, start: Array, q: Array, floor: float) -> bool:
+        """True if the margin keeps a floor where breakpoints meet on a straight path of the robot to q (m,).
 
         There it has kinks, and falls steeply towards them: the robot can snap there, between two places with margins
         above the floor.
         """
-        start, least = self._joints(self.arm), floor if self.min_distance is None else 0.0
+        if not self._meet(start, q):
+            return True
+        least = floor if self.min_distance is None else 0.0
 
         def place(time: float) -> Array:
             return start + time * (q - start)
@@ -263,25 +269,21 @@ class Guard:
 
     def _kinks(self, place: Callable[[float], Array], start: float, end: float) -> Iterator[float]:
         """Times between two at which breakpoints meet each other or the plate on a path."""
-        last = self._sides(place(end))
-        while self._meet(first := self._sides(place(start)), last):
+        last = place(end)
+        while self._meet(first := place(start), last):
             low, high = start, end
             for _ in range(20):
                 middle = (low + high) / 2
-                low, high = (low, middle) if self._meet(first, self._sides(place(middle))) else (middle, high)
+                low, high = (low, middle) if self._meet(first, place(middle)) else (middle, high)
             yield high
             start = high
 
-    def _sides(self, q: Array) -> Array:
-        """(p,) order of each pair of breakpoints, or of one and the plate: 1, -1, or 0 where they meet."""
-        s = np.append(q[self._carriage] + self._zero, 0.0)
-        apart = (s[:, None] - s)[np.triu_indices(len(s), 1)]
-        return np.where(np.abs(apart) > KEPT, np.sign(apart), 0.0)
-
-    @staticmethod
-    def _meet(one: Array, two: Array) -> bool:
-        """True if a pair changes its order between two places."""
-        return bool((one * two < 0).any())
+    def _meet(self, one: Array, two: Array) -> bool:
+        """True if a pair of breakpoints changes its order between joint values (m,)."""
+        slopes, zero = self._apart
+        before, after = one @ slopes + zero, two @ slopes + zero
+        changed = before * after < 0
+        return bool(changed.any() and (np.minimum(np.abs(before), np.abs(after))[changed] > KEPT).any())
 
     def _next(self, stop: Array, dt: float) -> tuple[Array, Array]:
         """(m,) joint values after a cycle, from which the robot can brake to its stop point s.
