@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -46,9 +47,10 @@ from tubeopt.design import (
 from tubeopt.design.evaluation import evaluated_at
 from tubeopt.design.program import compile_task
 from tubeopt.design.state import DesignState
-from tubeopt.equilibrium.kinematics import point_of
+from tubeopt.equilibrium.kinematics import point_of, unsolved
 from tubeopt.errors import InputError
 from tubeopt.stability.stroke import stroke_slopes
+from tubeopt.typing import Array
 
 ROOT = Path(__file__).resolve().parents[2]
 THREE = (0, 1, 2)
@@ -267,6 +269,48 @@ def test_stroke_forces_have_their_derivatives(kind: str, degrees: tuple[float, .
     step = 3e-5 * x * np.random.default_rng(0).uniform(0.5, 1.0, len(x))
     ahead, behind = (DesignState(layout, x + way * step).quantity(Quantity("stroke_force", 0))[0][0] for way in (1, -1))
     assert float((slope @ step)[0]) == pytest.approx((ahead - behind) / 2, rel=1e-3)
+
+
+def determinant_at(pose: Any, force: Array) -> float:
+    """Determinant of the integrated equations at an equilibrium, by the torsion and the axial forces at the plate."""
+    robot, n = pose.robot, pose.robot.n_tubes
+    member, x = unsolved(pose)
+    origin = np.concatenate([pose.torsion[:, 0] / (1 + member.problem.bundle.levers @ pose.curvature[0])] * 2)
+    origin[n:] = end_forces(member.at(x))
+
+    def violated(z: Array) -> Array:
+        at = SimpleNamespace(**{name: getattr(pose, name) for name in ("rotations", "translations", "tube_end")})
+        at.tip_position, at.torsion, at.curvature = pose.tip_position + z[2 * n :], z[:n, None], np.zeros((1, 2))
+        left, tip = shoot(robot, at, z[n : 2 * n], force, 1e-10)
+        return np.append(left.ravel(), tip - at.tip_position)
+
+    origin, scale = np.append(origin, np.zeros(3)), np.append([0.3] * n + [0.1] * n, [0.01] * 3)
+    slope = [(violated(origin + e) - violated(origin - e)) / 2e-5 for e in 1e-5 * np.diag(scale)]
+    return float(np.linalg.det(np.column_stack(slope)))
+
+
+@pytest.mark.parametrize("kind", ["turning_radius", "stroke_force"])
+def test_designs_withstand_a_push(kind: str) -> None:
+    """Two tubes in a plane buckle out of it. The tightest turn bears the push of 4 N, and not 0.1 % more."""
+    tubes = tube(0.02, 0.015, 6.0, 0.02, 0.2), tube(0.03, 0.02, 4.0, 0.02, 0.17)
+    robot = BundleRobot(tubes, (0.004, 0.004), (np.pi / 2, -np.pi / 2), sheath_stiffness=0.005)
+    free, needs = [Free("curvature", (0,), 5.0, 12.0)], [posed([0, 0])]
+    needs += [StrokeForce(4.0)] if kind == "turning_radius" else []
+    solution = optimize_design(DesignTask(robot, tuple(free), tuple(needs), Objective(kind)))
+    assert solution.verification.satisfied
+    limit = find_stroke_force(solution.robot, [0.0, 0.0])
+    assert limit is not None
+    if kind == "stroke_force":  # it falls with the curvature
+        assert solution.robot.tubes[0].curvature == pytest.approx(5.0, abs=1e-5)
+        assert solution.objective == pytest.approx(limit.factor, rel=1e-6)
+        return
+    assert limit.factor == pytest.approx(4.0, abs=1e-5)
+    # The determinant of the integrated equations falls to 0 there.
+    first, parts, found = solution.robot.fk([0.0, 0.0]), np.array([0.999, 0.9999]), []
+    for part in parts:
+        force = -4.0 * part * first.tip_rotation[:, 2]
+        found.append(determinant_at(first.robot.fk([0.0, 0.0], load=Load(tuple(force))), force))
+    assert parts[1] + np.diff(parts)[0] * found[1] / (found[0] - found[1]) == pytest.approx(1.0, abs=1e-5)
 
 
 def test_carriages_reach_targets_together() -> None:

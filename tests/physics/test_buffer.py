@@ -97,6 +97,10 @@ def test_tubes_merge_from_the_gap_and_play_grows_with_friction_and_room(run: Run
     shown = " ".join(run("robot", "show", str(tmp_path / "bundle.yaml")).out.split())
     assert "moves aside by 11.55 mm, at up to 19.5 deg and 2.52 % strain" in shown
     assert "Play: up to 2.38 deg of a turn" in shown
+    # The S strains the tubes, which turn in it; and their curves begin in it, since they have no straight parts.
+    assert "warning: tube 1 is strained 2.52 % in the buffer, where it turns, beyond the 1 % limit of nitinol" in shown
+    assert "tube 3 is straight over 0 mm, and the buffer takes 51.58 mm" in shown
+    assert replace(thesis, transmission_length=0.052, buffer=Buffer(LENGTH, 0.005)).buffer_warnings == []
 
 
 def test_a_tube_on_the_axis_stays_straight_and_wide_drives_are_refused() -> None:

@@ -310,10 +310,13 @@ def evaluated_at(program: Program, x: Array) -> Evaluated:
 
 def state_at(program: Program, x: Array) -> DesignState:
     """State at x, SI; the solve of each pose starts at its last solution."""
-    known = program.lately.state
+    known, physical = program.lately.state, program.layout.size - len(program.layout.auxiliary)
     # Solvers ask for value and derivatives at the same x one after the other: poses are solved once.
-    if known is None or not np.array_equal(known.x, x):
-        known = program.lately.state = DesignState(program.layout, x.copy(), program.guesses)
+    if known is not None and known.layout is program.layout and np.array_equal(known.x[:physical], x[:physical]):
+        known = known if np.array_equal(known.x, x) else known.with_auxiliary(x.copy())
+    else:
+        known = DesignState(program.layout, x.copy(), program.guesses)
+    program.lately.state = known
     return known
 
 

@@ -5,6 +5,7 @@ Equilibria are solved inside: changes with tubes and joint values reach the unkn
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import NamedTuple
@@ -160,6 +161,12 @@ class DesignState:
         self._moved: dict[PoseNumber, tuple[Array, Array]] = {}
         self._chains: dict[PoseNumber, Array] = {}
         self._proofs: dict[tuple[float, ...], tuple[Array, Array]] = {}
+
+    def with_auxiliary(self, x: Array) -> DesignState:
+        """Same tubes and poses at an x that differs in auxiliary unknowns only, which no quantity depends on."""
+        other = copy(self)
+        other.x = x
+        return other
 
     def quantity(self, quantity: Quantity) -> tuple[Array, Array]:
         """Value and derivative (.., X) of a quantity; poses are numbered as in the layout."""

@@ -21,6 +21,7 @@ import numpy as np
 from ..arguments import typed
 from ..errors import InputError
 from ..files.field_metadata import NOT_NEGATIVE, POSITIVE, REQUIRED, Checked, Typical, check_fields, unit
+from ..files.units import TO_MM
 from ..physics.buffer import STEEPEST, buffer_bend
 from ..physics.spiral import spiral_rate
 from ..physics.strain import surface_strain
@@ -29,7 +30,7 @@ from .assembly import LENGTH_ROUND_OFF, Assembly, assemble
 from .calibration import Calibration, Posterior
 from .concentric import Friction, check_friction
 from .limits import JointLimits
-from .robot import Robot, keeps_hash
+from .robot import Robot, keeps_hash, passed_limit
 from .tubes import Tube, must_be_plain
 
 Question = TypeVar("Question", bound=Callable[..., Any])
@@ -147,6 +148,20 @@ def buffered_tubes(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot
     return out
 
 
+def buffer_warnings(robot: SheathedRobot | BundleRobot) -> list[str]:
+    """Warnings of tubes that are strained too much in the buffer section, or have too little straight tube for it."""
+    out = []
+    for i, (tube, bent) in enumerate(zip(robot.tubes, buffered_tubes(robot), strict=False), start=1):
+        if passed := passed_limit(tube.material, bent.strain):
+            out.append(f"tube {i} is strained {bent.strain * 100:.2f} % in the buffer, where it turns, {passed}")
+        if tube.straight_length < bent.length:
+            out.append(
+                f"tube {i} is straight over {tube.straight_length * TO_MM:.4g} mm, and the buffer takes "
+                f"{bent.length * TO_MM:.4g} mm: at home its curve begins in there, which no model contains"
+            )
+    return out
+
+
 class SheathedRobot(Robot):
     """k telescoping segments of three equal tubes each, in a sheath at 0, 120 and -120 deg around the centreline."""
 
@@ -159,6 +174,11 @@ class SheathedRobot(Robot):
     @abstractmethod
     def held(self) -> tuple[Tube, ...]:
         """Tube of every segment, inner to outer, straight from its clamp."""
+
+    @property
+    def buffer_warnings(self) -> list[str]:
+        """Warnings of tubes in the buffer section."""
+        return buffer_warnings(self)
 
     @property
     def distance(self) -> float:
@@ -460,6 +480,11 @@ class BundleRobot(Robot):
             raise InputError(f"carriages are {self.carriages}; each tube from 0 to {n - 1} must be in one of them")
         self._check_fit()
         self.check_drives()
+
+    @property
+    def buffer_warnings(self) -> list[str]:
+        """Warnings of tubes in the buffer section."""
+        return buffer_warnings(self)
 
     @property
     def axes(self) -> Array:

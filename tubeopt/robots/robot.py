@@ -21,6 +21,7 @@ from ..typing import Array, lazy_import
 from .assembly import Assembly
 from .calibration import Calibration, Posterior, check_calibration, limits_of
 from .limits import FAR, MOST_TURN, JointLimits, check_reach, check_turn
+from .materials import Material
 from .order import home_translations
 from .tubes import Tube, slots_unknown, warn_of_units
 
@@ -134,6 +135,11 @@ class Robot(Displayed, ABC):
     def limits(self) -> JointLimits:
         """Range of every joint value; by default a turn to either side, and the range that the tube lengths allow."""
         return limits_of(self.joint_limits, self.calibration, self.tubes)
+
+    @property
+    def buffer_warnings(self) -> list[str]:
+        """Warnings of tubes between drive and plate; none for concentric robots."""
+        return []
 
     def save(self, path: str | PathLike[str]) -> None:
         """Write the robot as YAML that `load_robot` reads back."""
@@ -273,20 +279,21 @@ def _clearance(inner: Tube, outer: Tube) -> float:
     return (outer.inner_diameter - inner.outer_diameter) / 2
 
 
+def passed_limit(material: Material, strain: float) -> str:
+    """Text of the limit of a material that a strain is beyond; "" for none."""
+    if strain > material.superelastic_strain:
+        return f"beyond the {material.superelastic_strain * 100:.3g} % limit of superelasticity of {material.name}"
+    if strain > material.working_strain:
+        return f"beyond the {material.working_strain * 100:.3g} % limit of {material.name} for repeated bending"
+    return ""
+
+
 def fit_warnings(robot: Robot) -> list[str]:
     """Warnings of tubes with too much strain, and of tubes that fit too tightly or too loosely."""
-    warnings = []
+    warnings = robot.buffer_warnings
     for i, tube in enumerate(robot.tubes, start=1):
-        strain, name = tube.straightened_strain, tube.material.name
-        reached = f"tube {i} is strained {strain * 100:.2f} % when straightened, beyond the"
-        if strain > tube.material.superelastic_strain:
-            warnings.append(
-                f"{reached} {tube.material.superelastic_strain * 100:.3g} % limit of superelasticity of {name}"
-            )
-        elif strain > tube.material.working_strain:
-            warnings.append(
-                f"{reached} {tube.material.working_strain * 100:.3g} % limit of {name} for repeated bending"
-            )
+        if passed := passed_limit(tube.material, tube.straightened_strain):
+            warnings.append(f"tube {i} is strained {tube.straightened_strain * 100:.2f} % when straightened, {passed}")
         unknown = [str(j) for j, piece in enumerate(tube.pieces, start=1) if slots_unknown(tube, piece)]
         if unknown:
             warnings.append(
