@@ -10,6 +10,7 @@ import pytest
 from tests.equilibrium.test_bundle import long_bundle
 from tubeopt import BundleRobot, ConcentricRobot, EccentricRobot, find_equilibria, find_snap, load_robot, trace_branch
 from tubeopt.equilibrium.kinematics import unsolved
+from tubeopt.errors import SolveError
 
 
 def steep() -> BundleRobot:
@@ -87,10 +88,21 @@ def test_a_branch_crosses_a_ridge_where_ends_meet() -> None:
     pose = robot.fk(end)
     for t in (0.9, 0.8, 0.7, 0.65, 0.6, 0.56, 0.53, 0.51, 0.49, 0.48, 0.475, ends_at + 1e-5):
         pose = robot.fk(start + t * (end - start), start=pose)
-    beyond = robot.fk(start + (ends_at - 1e-5) * (end - start), start=pose)
     assert np.linalg.norm(pose.tip_position - back.tip_position) < 5e-6
-    assert np.linalg.norm(beyond.tip_position - pose.tip_position) > 2.5e-3
+    with pytest.raises(SolveError, match="the robot snaps"):
+        robot.fk(start + (ends_at - 1e-5) * (end - start), start=pose)
     # The other way the branch is the same, and so are its folds.
     reverse = trace_branch(robot, end, start)
     assert reverse.folds[0].rotations == pytest.approx(back.rotations, abs=1e-6)
     assert reverse.folds[1].rotations == pytest.approx(there.rotations, abs=1e-6)
+
+
+def test_both_jumps_of_ends_that_pass_are_found() -> None:
+    """The smaller one, of 2.6 mm, lies within a step of the branch: where ends pass, steps must be short."""
+    robot, start, end = steep(), np.radians([-125.85, 48.13, 19.81]), np.radians([-137.05, 63.95, 59.29])
+    there, back = (snap.rotations for snap in trace_branch(robot, start, end).folds)
+    for way, fold, jump in (((start, end), there, 4.51e-3), ((end, start), back, 2.63e-3)):
+        snap = find_snap(robot, (way[0], None), (way[1], None))
+        assert snap is not None
+        assert snap.rotations == pytest.approx(fold, abs=1e-6)
+        assert snap.tip_jump == pytest.approx(jump, rel=5e-3)

@@ -166,6 +166,17 @@ def _density(robot: Robot, load: Load | None) -> tuple[float, ...]:
     return () if load is None or load.gravity is None else tuple(masses(robot.tubes, load).tolist())
 
 
+def _groups(problem: BundleProblem) -> list[set[object]]:
+    """Boundaries from the plate, those that are together in one group."""
+    out: list[set[object]] = []
+    for k, boundary in enumerate(problem.order):
+        if k and k in problem.held:
+            out[-1].add(boundary)
+        else:
+            out.append({boundary})
+    return out
+
+
 @dataclass(frozen=True, eq=False)
 class Bundled(Member[BundleState]):
     """Equations of a bundle robot, with its boundaries in one order, under `factor` times the load of the problem.
@@ -606,6 +617,10 @@ class Bundled(Member[BundleState]):
         """Largest difference (rad) of the twist and of the arm's direction."""
         member = self.owner(state)
         return member.largest_rotation(state, state.x - member.transfer(point))
+
+    def reorders(self, point: AnyPoint, state: BundleState) -> bool:
+        """True if boundaries passed each other, met or separated."""
+        return _groups(point.state.problem) != _groups(state.problem)
 
     def round_off(self, state: BundleState) -> float:
         """Sum of elastic energy and work (J), which may cancel."""

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from ..robots.assembly import LENGTH_ROUND_OFF
 from ..robots.load import Load, between
 from ..robots.robot import Robot
-from ..solvers.settings import LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
+from ..solvers.settings import LARGEST_EXCHANGE, LARGEST_RATIO, LARGEST_SHIFT, LARGEST_TURN, LARGEST_TWIST, SOFT_TWIST
 from ..typing import Array, Index
 from .bundle import Bundled
 from .member import AnyPoint, Loaded, Member, Point, Unloaded
@@ -259,7 +259,10 @@ def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | 
     if not result.converged or result.contraction > LARGEST_RATIO:
         return None
     # Newton's method may converge well to a neighbouring branch, but not within this distance.
-    if member.distance(point, result.state) > largest_twist(point.margin):
+    limit = largest_twist(point.margin)
+    if member.reorders(point, result.state):
+        limit = min(limit, LARGEST_EXCHANGE)
+    if member.distance(point, result.state) > limit:
         return None
     return Point.of(member, result, t)  # type: ignore[return-value]
 

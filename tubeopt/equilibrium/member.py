@@ -315,6 +315,10 @@ class Member(ABC, Generic[S]):
     def distance(self, point: AnyPoint, state: S) -> float:
         """Largest difference (rad) between a point and a state of this member: of a twist, or of the arm's frame."""
 
+    def reorders(self, point: AnyPoint, state: S) -> bool:
+        """True if boundaries along the arm have another order in a state than at a point; they may in bundles."""
+        return False
+
     @abstractmethod
     def round_off(self, state: S) -> float:
         """Sum of the sizes (J) of the energies that may cancel in the potential."""

@@ -59,6 +59,11 @@ LARGEST_TWIST = 0.6
 SOFT_TWIST = 0.1
 """Value of LARGEST_TWIST (rad) at margin 0."""
 
+LARGEST_EXCHANGE = 0.05
+"""Largest change (rad) of the twist in one step along a branch in which ends of tubes of a bundle pass each other.
+
+A jump there is found if it is larger; smaller ones, up to 2 mm at the tip of an arm of 0.1 m, are steps."""
+
 LARGEST_TURN = 0.3
 """Largest change (rad) of a joint rotation in one step along a path. Equilibria repeat after a full turn: a step must
 be much smaller."""

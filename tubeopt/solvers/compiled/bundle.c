@@ -938,7 +938,7 @@ static int compare_finer(const double *alpha, Workspace *w, Answer *out) {
 CASADI_SYMBOL_EXPORT int solve_bundle(const Tubes *t, const double *alpha, const Start *from, long long halvings,
                                       Workspace *w, Answer *out) {
     Layout *l = &w->layout;
-    int closed, growth = GROWS, exchanged[MOST_SECTIONS][MOST_SECTIONS] = {{0}}, freed[MOST_SECTIONS][MOST_SECTIONS] = {{0}};
+    int closed, passed = 0, growth = GROWS, exchanged[MOST_SECTIONS][MOST_SECTIONS] = {{0}}, freed[MOST_SECTIONS][MOST_SECTIONS] = {{0}};
     out->iterations = 0;
     out->contraction = out->largest_change = 0;
     if (!(from ? take_up(t, from, l, &w->state) : begin(t, alpha, (int)halvings, l, &w->state))) return DECLINED;
@@ -946,6 +946,7 @@ CASADI_SYMBOL_EXPORT int solve_bundle(const Tubes *t, const double *alpha, const
         while (minimise(l, alpha, from != NULL, w, out, &closed)) {
             if (!closed || !exchange(l, &w->state, closed, exchanged)) return DECLINED;
             out->contraction = 0; /* the first steps then open the section, and say nothing about the branch */
+            passed = 1;
         }
         growth = grown(l, alpha, w, freed);
         /* Along a branch that is left to the general solver: sections that open may lead to another one. */
@@ -954,6 +955,8 @@ CASADI_SYMBOL_EXPORT int solve_bundle(const Tubes *t, const double *alpha, const
     lay_arm(l, &w->state, alpha, out);
     lay_sections(l, &w->state, out);
     if (from) out->largest_change = twisted_since(l, alpha, from, &w->state);
+    /* Where ends pass each other the arm may jump, and Newton's method converges well behind the jump. */
+    if (passed && out->largest_change > LARGEST_EXCHANGE) return DECLINED;
     if (!factorise(l, &w->state, 0, &w->factors)) return DECLINED;
     out->margin = margin_of(w);
     if (!(out->margin > LEAST_STIFFNESS)) return DECLINED;

@@ -31,6 +31,7 @@ from ...physics.shape import carry_function
 from ...physics.torsion import bundle_energy
 from ...typing import Array
 from ..settings import (
+    LARGEST_EXCHANGE,
     LARGEST_RATIO,
     LARGEST_TWIST,
     LAST_STEP,
@@ -71,6 +72,7 @@ def bundle_source(n: int) -> str:
         "LONGEST_STEP": LONGEST_STEP,
         "LARGEST_RATIO": LARGEST_RATIO,
         "LARGEST_TWIST": LARGEST_TWIST,
+        "LARGEST_EXCHANGE": LARGEST_EXCHANGE,
         "SOFT_TWIST": SOFT_TWIST,
         "LEAST_STIFFNESS": LEAST_STIFFNESS,
         "WAVES_PER_ELEMENT": WAVES_PER_ELEMENT / FINER,
