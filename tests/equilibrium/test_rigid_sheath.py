@@ -12,6 +12,7 @@ from scipy.optimize import brentq
 
 from tubeopt import (
     BundleRobot,
+    Friction,
     InputError,
     Load,
     certify,
@@ -22,7 +23,7 @@ from tubeopt import (
 )
 from tubeopt.control.c_library import c_library
 
-from .test_bundle import bundle_of_thesis, random_bundle, tube
+from .test_bundle import ROOT, bundle_of_thesis, random_bundle, tube
 
 LENGTH, TIP = 0.02, 0.065
 
@@ -190,3 +191,23 @@ def test_robot_files_keep_rigid_parts(tmp_path: Path) -> None:
     assert "sheath_rigid_from_mm: 65" in (tmp_path / "robot.yaml").read_text()
     with pytest.raises(InputError, match=r"sheath_rigid_from is 0.01 m; it must be greater than sheath_rigid_length"):
         replace(robot, sheath_rigid_from=0.01)
+
+
+def test_friction_with_a_rigid_tip_heats_by_what_the_drives_put_in() -> None:
+    sheath = load_robot(ROOT / "configs" / "bundles" / "steerable_sheath.yaml")
+    assert isinstance(sheath, BundleRobot)
+    robot, torque, load = replace(sheath, sheath_rigid_from=0.07), 0.01, Load((0.03, 0.0, 0.0))
+    # Tube 2 slips all along from 20 deg on; before, a part of it is stuck.
+    way = np.radians([[0.0, angle, 0.0] for angle in (0.0, 20.0, *np.linspace(22, 40, 10))])
+    states = follow(robot, way, friction=Friction(torque=torque), load=load).equilibria[1:]
+    lever = np.array(robot.offset)[:, None] * np.column_stack([np.sin(robot.angle), -np.cos(robot.angle)])
+    kt = np.array([float(each.torsional_stiffness) for each in robot.tubes])
+    drives = np.array([-kt * e.torsion[:, 0] / (1 + lever @ e.curvature[0]) for e in states])
+    done = float(((drives[1:] + drives[:-1]) / 2 * np.diff(way[1:], axis=0)).sum())
+    first, last = states[0], states[-1]
+    assert first.friction is not None
+    assert last.friction is not None
+    heat = last.friction.heat - first.friction.heat
+    stored = last.energy - first.energy - (last.work - first.work)
+    assert heat > 1e-4
+    assert done == pytest.approx(stored + heat, rel=1e-3)
