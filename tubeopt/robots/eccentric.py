@@ -102,7 +102,7 @@ class BufferedTube(NamedTuple):
     """Change of its length in the section between both sides of the room, m."""
 
 
-def buffered_tubes(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> list[BufferedTube]:
+def buffered_tubes(robot: SheathedRobot | BundleRobot) -> list[BufferedTube]:
     """Tubes (n,) in the buffer section of a robot; [] if it has none. Each tube bends by itself.
 
     At the drive all offsets are larger by one factor. The gap is that of the closest tubes.
