@@ -289,21 +289,15 @@ def determinant_at(pose: Any, force: Array) -> float:
     return float(np.linalg.det(np.column_stack(slope)))
 
 
-@pytest.mark.parametrize("kind", ["turning_radius", "stroke_force"])
-def test_designs_withstand_a_push(kind: str) -> None:
+def test_designs_withstand_a_push() -> None:
     """Two tubes in a plane buckle out of it. The tightest turn bears the push of 4 N, and not 0.1 % more."""
     tubes = tube(0.02, 0.015, 6.0, 0.02, 0.2), tube(0.03, 0.02, 4.0, 0.02, 0.17)
     robot = BundleRobot(tubes, (0.004, 0.004), (np.pi / 2, -np.pi / 2), sheath_stiffness=0.005)
-    free, needs = [Free("curvature", (0,), 5.0, 12.0)], [posed([0, 0])]
-    needs += [StrokeForce(4.0)] if kind == "turning_radius" else []
-    solution = optimize_design(DesignTask(robot, tuple(free), tuple(needs), Objective(kind)))
+    free, needs = Free("curvature", (0,), 5.0, 12.0), (posed([0, 0]), StrokeForce(4.0))
+    solution = optimize_design(DesignTask(robot, (free,), needs, Objective("turning_radius")))
     assert solution.verification.satisfied
     limit = find_stroke_force(solution.robot, [0.0, 0.0])
     assert limit is not None
-    if kind == "stroke_force":  # it falls with the curvature
-        assert solution.robot.tubes[0].curvature == pytest.approx(5.0, abs=1e-5)
-        assert solution.objective == pytest.approx(limit.factor, rel=1e-6)
-        return
     assert limit.factor == pytest.approx(4.0, abs=1e-5)
     # The determinant of the integrated equations falls to 0 there.
     first, parts, found = solution.robot.fk([0.0, 0.0]), np.array([0.999, 0.9999]), []
