@@ -337,8 +337,8 @@ APPROACH = 0.5
 ROOM, APART = 0.01, 1e-5
 
 # Largest of this room over the length of the last step over the scales: as steps become short, so does their error, and
-# the robot rests at the lower bound.
-ROOM_PER_STEP = 5.0
+# the robot rests close to the lower bound. A quarter of this held it where no further step was safe.
+ROOM_PER_STEP = 20.0
 
 # Largest required rise of margin or distance, as a fraction of what the joints can do within their rates. With 1 the
 # rows would leave no step but one, and no joint motion for the task.

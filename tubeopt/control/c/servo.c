@@ -5,7 +5,7 @@
 #define HALVINGS 4   /* of a step that the guard does not let pass */
 #define CLOSE 1e-9
 #define ROOM 0.01  /* of the margin above its floor, at which the tip slides: a step along the floor bends away from it, */
-#define ROOM_PER_STEP 5.0 /* and less where steps over the scales are shorter: the robot rests at the floor */
+#define ROOM_PER_STEP 20.0 /* and less where steps over the scales are shorter: the robot rests close to the floor */
 #define RISE 0.3   /* share of what joints could do for margin or clearance that a step must do at most */
 #define NEAR 1e-6  /* m and rad, at which a target is met */
 #define DESCENT 0.25 /* fraction of the predicted decrease of the distance that a step must have: zigzags have none */
