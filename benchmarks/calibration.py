@@ -14,9 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
-import sys
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -31,6 +29,7 @@ from tubeopt.validation.effects import EFFECTS, Setup
 from tubeopt.validation.model import solve_poses
 from tubeopt.validation.parameters import groups
 
+from .campaign import add_campaign, campaign
 from .timing import clock, milliseconds, show, table
 
 MM = 1e-3
@@ -181,34 +180,23 @@ def _rms(values: list[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def kept(path: Path | None) -> list[Run]:
-    """Runs that a file holds."""
-    lines = path.read_text().splitlines() if path is not None and path.exists() else []
-    return [
-        Run(**{**json.loads(line), **{k: tuple(json.loads(line)[k]) for k in ("wrong", "missed")}}) for line in lines
-    ]
+def read(record: dict[str, Any]) -> Run:
+    """A run of a file."""
+    return Run(**record | {name: tuple(record[name]) for name in ("wrong", "missed")})
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--runs", type=int, default=5, help="truths")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    add_campaign(parser, runs=5)
     parser.add_argument("--rows", type=int, default=1300, help="rows of the way")
     parser.add_argument("--fits", action="store_true", help="without the comparison of effects")
     parser.add_argument("--smooth", action="store_true", help="without friction")
-    parser.add_argument("--jsonl", type=Path, help="file that keeps every run as it ends")
     parser.add_argument("--json", action="store_true", help="one line of JSON in place of tables")
     options = parser.parse_args()
-    runs = kept(options.jsonl)
-    for seed in range(options.first, options.first + options.runs):
-        if any(one.seed == seed for one in runs):
-            continue
-        runs.append(run(seed, options.rows, compared=not options.fits, rubs=not options.smooth))
-        if options.jsonl is not None:
-            with options.jsonl.open("a") as file:
-                file.write(json.dumps(asdict(runs[-1])) + "\n")
-        print(f"truth {seed}: {runs[-1]}", file=sys.stderr)
+    runs = campaign(
+        options, lambda seed: run(seed, options.rows, compared=not options.fits, rubs=not options.smooth), read
+    )
     result = summary(runs)
     if options.json:
         print(json.dumps(result))

@@ -13,19 +13,16 @@ file and are not repeated.
 from __future__ import annotations
 
 import argparse
-import json
-import sys
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from tubeopt import InputError
 from tubeopt.robots.calibration import Calibration
 from tubeopt.robots.robot import Robot
 from tubeopt.validation import FitOptions, compare_effects, validate
 
+from .campaign import add_campaign, campaign
 from .posterior import ROBOT, Way, draw, measure, setup_of, within_bands
 from .timing import clock, show, table
 
@@ -110,27 +107,10 @@ def chosen(seed: int, rows: int) -> Choice:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--runs", type=int, default=3, help="truths")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    add_campaign(parser, runs=3)
     parser.add_argument("--rows", type=int, default=150, help="rows of the path")
-    parser.add_argument("--jsonl", type=Path, help="file that keeps the runs")
     options = parser.parse_args()
-    kept = {}
-    if options.jsonl is not None and options.jsonl.exists():
-        kept = {(c := Choice(**json.loads(line))).seed: c for line in options.jsonl.read_text().splitlines()}
-    for seed in range(options.first, options.first + options.runs):
-        if seed in kept:
-            continue
-        try:
-            kept[seed] = chosen(seed, options.rows)
-        except InputError as error:  # a short path may be too flat for a registration
-            print(f"truth {seed}: {error}", file=sys.stderr)
-            continue
-        print(kept[seed], flush=True)
-        if options.jsonl is not None:
-            with options.jsonl.open("a") as file:
-                file.write(json.dumps(asdict(kept[seed])) + "\n")
-    runs = list(kept.values())
+    runs = campaign(options, lambda seed: chosen(seed, options.rows), lambda record: Choice(**record))
     settled = [c for c in runs if c.alike >= 4]
     unsettled = [c for c in runs if c.alike < 4]
     rows = [

@@ -18,14 +18,14 @@ With `--plans` the fitted robot plans a full turn of a tube without and with `--
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections import defaultdict
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +39,7 @@ from tubeopt.typing import Array
 from tubeopt.validation import FitOptions, Measurements, fit, real_robots, validate
 from tubeopt.validation.effects import Setup
 
+from .campaign import add_campaign, campaign
 from .posterior import MM, ROBOT, Way, draw, measure, setup_of, within_bands
 from .timing import clock, show, table
 
@@ -218,42 +219,23 @@ def rms(errors: Array) -> float:
     return float(np.sqrt(np.nanmean(np.square(errors))))
 
 
-def kept(path: Path | None) -> list[Run]:
-    """Runs that a file holds."""
-    lines = path.read_text().splitlines() if path is not None and path.exists() else []
-    out = []
-    for line in lines:
-        record = json.loads(line)
-        for name in ("plain", "sure"):
-            record[name] = None if record[name] is None else Drive(**record[name])
-        out.append(Run(**record))
-    return out
+def read(record: dict[str, Any]) -> Run:
+    """A run of a file."""
+    plans = {name: record[name] and Drive(**record[name]) for name in ("plain", "sure")}
+    return Run(**record | plans)
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--runs", type=int, default=5, help="truths")
-    parser.add_argument("--first", type=int, default=0, help="seed of the first")
+    add_campaign(parser, runs=5)
     parser.add_argument("--rows", type=int, default=300, help="rows of a recording")
     parser.add_argument("--sessions", type=int, default=3, help="recordings of a truth")
     parser.add_argument("--unfitted", type=float, default=0.0, help="size of errors of the drawing that are not fitted")
     parser.add_argument("--plans", action="store_true", help="plan with the fitted robots")
     parser.add_argument("--drawn", type=int, default=50, help="robots of the posterior that follow a plan")
-    parser.add_argument("--jsonl", type=Path, help="file that keeps every run as it ends")
     options = parser.parse_args()
-    runs = kept(options.jsonl)
-    for seed in range(options.first, options.first + options.runs):
-        if any(one.seed == seed for one in runs):
-            continue
-        try:
-            runs.append(run(seed, options))
-        except SolveError as error:
-            print(f"truth {seed}: {error}", file=sys.stderr)
-            continue
-        if options.jsonl is not None:
-            with options.jsonl.open("a") as file:
-                file.write(json.dumps(asdict(runs[-1])) + "\n")
+    runs = campaign(options, lambda seed: run(seed, options), read)
     report(runs, options.drawn)
 
 
