@@ -14,6 +14,10 @@ Counted are:
     no minimum  poses without a positive margin, with a wall deeper in the arm than 0.2 um, or with a wall that pulls
 
 Every pose with contacts is also integrated by DOP853 under its contact forces.
+
+A second table times one contact: from no start, and from the solution 0.02 rad of a tube before, as motions are solved.
+A third one deploys thesis_ctr through five vessels with forces up to 0.5 N. All poses on the way are integrated by
+DOP853. The arm at the last joint values without the vessel shows by how much the vessel guides it.
 """
 
 from __future__ import annotations
@@ -35,8 +39,9 @@ from scipy.spatial.transform import Rotation
 import tubeopt
 from benchmarks.timing import ROOT, show, summarise, table
 from tubeopt import ConcentricRobot, Equilibrium, SolveError
-from tubeopt.bodies import Capsule, HalfSpace, Sphere
+from tubeopt.bodies import Capsule, Corridor, HalfSpace, Sphere
 from tubeopt.equilibrium.arm_surface import ArmSurface
+from tubeopt.equilibrium.wall_contact import Walls, start_of
 from tubeopt.inverse.joints import joint_space
 
 Array = NDArray[np.float64]
@@ -502,6 +507,98 @@ def contacts(arms: int, seed: int) -> tuple[dict[str, Any], list[str]]:
     return out, notes
 
 
+# --- One contact, and vessels -----------------------------------------------------------------------------------------
+
+
+def one_contact(calls: int = 50) -> list[tuple[str, str]]:
+    """Median times of solves with one contact, ms of the processor."""
+    robot, rotations, ball = tubeopt.load_robot("thesis_ctr"), np.array([0.0, 1.0, 2.0]), Sphere((0.01, 0, 0.1), 0.01)
+    pose = tubeopt.forward_kinematics(robot, rotations, walls=[ball])
+    solved = start_of(pose, Walls(robot, (ball,), None)).complete(0.0)
+    turned, shift = rotations + np.array([0.0, 0.02, 0.0]), np.array(solved.touching.member.translations)
+    out = []
+    for name, call in (
+        ("from no start, verified", lambda: tubeopt.forward_kinematics(robot, rotations, walls=[ball])),
+        ("in a motion, with stability", lambda: solved.at_joints(turned, shift).stable),
+    ):
+        seconds = []
+        for _ in range(calls):
+            begun = time.process_time()
+            call()
+            seconds.append(time.process_time() - begun)
+        out.append((name, f"{1e3 * summarise(seconds).median:.3g}"))
+    return out
+
+
+@dataclass(frozen=True)
+class Bend:
+    """Bend of a vessel."""
+
+    radius: float
+    """Radius of the centreline, m."""
+    angle: float
+    """Angle, rad."""
+    plane: float
+    """Angle of the plane of the bend about z, rad."""
+
+
+VESSELS = {
+    "0.82 rad, radius 40 mm": (1.5e-3, [Bend(0.04, 0.82, 0.0)]),
+    "0.9 rad, radius 50 mm": (1.5e-3, [Bend(0.05, 0.9, 1.0)]),
+    "1.2 rad, radius 60 mm": (1.5e-3, [Bend(0.06, 1.2, 0.5)]),
+    "0.6 rad twice, radius 50 mm, in two planes": (2e-3, [Bend(0.05, 0.6, 0.0), Bend(0.05, 0.6, np.pi / 2)]),
+    "0.4 rad twice, radius 50 mm, as an S": (2e-3, [Bend(0.05, 0.4, 0.0), Bend(0.05, 0.4, np.pi)]),
+}
+"""Radius, m, and bends of vessels behind a straight part of 8 mm."""
+
+PIECE = 4e-3
+"""Largest length (m) of a piece of a centreline."""
+
+
+def vessel(radius: float, bends: list[Bend]) -> tuple[Corridor, Array]:
+    """Vessel, and the points (N, 3) of its centreline up to the last bend, m."""
+    point, tangent = np.array([0, 0, 8e-3]), np.array([0.0, 0, 1])
+    points = [point]
+    for bend in bends:
+        side = np.array([np.cos(bend.plane), np.sin(bend.plane), 0.0])
+        side -= (side @ tangent) * tangent
+        side /= np.linalg.norm(side)
+        pieces = int(np.ceil(bend.angle * bend.radius / PIECE))
+        for turn in np.linspace(0, bend.angle, pieces + 1)[1:]:
+            points.append(point + bend.radius * ((1 - np.cos(turn)) * side + np.sin(turn) * tangent))
+        point, tangent = points[-1], np.cos(bend.angle) * tangent + np.sin(bend.angle) * side
+    centreline = np.array(points)
+    return Corridor([[0, 0, -0.02], *centreline, point + 0.02 * tangent], radius), centreline
+
+
+def deployments() -> list[tuple[str, ...]]:
+    """Rows of the table of vessels."""
+    robot, rows = tubeopt.load_robot("thesis_ctr"), []
+    for name, (radius, bends) in VESSELS.items():
+        body, path = vessel(radius, bends)
+        begun = time.process_time()
+        motion = tubeopt.deploy(robot, path[1:], walls=[body], tolerance=radius, largest_force=0.5)
+        seconds, end = time.process_time() - begun, motion.equilibria[-1]
+        free = tubeopt.forward_kinematics(robot, end.rotations, end.translations)
+        touching = [pose for pose in motion.equilibria if pose.walls.contacts]
+        off = max(pose.verified().verification.tip_position for pose in touching)
+        deep = -min(pose.walls.clearance for pose in motion.equilibria)
+        outside = -float(body.signed_distance(free.position).min())
+        rows.append(
+            (
+                name,
+                "yes" if motion.status is tubeopt.DeploymentStatus.REACHED else motion.reason,
+                f"{1e3 * motion.largest_force:.0f}",
+                str(max(len(pose.walls.contacts) for pose in touching)),
+                f"{seconds:.1f}",
+                f"{1e6 * off:.1e}",
+                f"{1e6 * max(deep, 0.0):.1e}",
+                f"{1e3 * outside:.2g}",
+            )
+        )
+    return rows
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -510,7 +607,21 @@ def main() -> None:
     arguments = parser.parse_args()
     counted, notes = contacts(arguments.arms, arguments.seed)
     rows = [(name, str(value)) for name, value in counted.items()]
-    show([table("Random arms among walls", ("", "all robots"), rows)], notes)
+    show(
+        [
+            table("Random arms among walls", ("", "all robots"), rows),
+            table("One contact", ("", "ms"), one_contact()),
+            table(
+                "Vessels",
+                (
+                    *("bends", "reached", "largest force, mN", "most contacts", "s"),
+                    *("tip from DOP853, um", "deepest wall, um", "free arm outside, mm"),
+                ),
+                deployments(),
+            ),
+        ],
+        notes,
+    )
 
 
 if __name__ == "__main__":
