@@ -239,6 +239,7 @@ def test_programs_of_a_mold_stay_finite(run: Run, tmp_path: Path) -> None:
             "limits are -3 to 5 m, and it is 0.2 m long: translations are in m",
             "limits are -3000 to 5000 mm, and it is 200 mm long",
         ),
+        ("at least the length of segment 2, 0.09 m", "at least the length of segment 2, 90 mm"),
         ("it is at 0.9 m (900 mm)", "it is at 900 mm"),
         ("is 50 m; usual is 0.001 to 10 m: was 50 mm meant?", "is 50000 mm; usual is 1 to 10000 mm"),
         ("has 2 rad; rotations are in rad: was 2 deg meant?", "has 114.592 deg"),

@@ -56,7 +56,7 @@ from tubeopt.inverse.posture import start_posture
 from tubeopt.planning.proof import ProofStatus
 from tubeopt.planning.question import PlanOptions
 from tubeopt.robots.assembly import LENGTH_ROUND_OFF
-from tubeopt.robots.eccentric import free_channel
+from tubeopt.robots.eccentric import channel_between, free_channel
 from tubeopt.robots.file import robot_from_dict, robot_to_dict
 from tubeopt.show.plan_report import TrajectoryReport
 from tubeopt.stability.friction_path import segment_with_friction, start_with_friction
@@ -769,6 +769,18 @@ def test_free_channels_are_those_of_touching_circles() -> None:
     two = BundleRobot((one,) * 2, (1e-3,) * 2, (0.0, np.pi))
     assert free_channel(two).diameter == pytest.approx(4e-3 / 3, rel=1e-8)
     assert free_channel(two).inside is None
+    # Around a tube in the centre the circle may lie anywhere.
+    centred = BundleRobot((one,) * 2, (0.0, 2e-3), (0.0, 1.0), sheath_diameter=6.4e-3)
+    assert free_channel(centred).diameter == pytest.approx(2.2e-3, rel=1e-8)
+    random = np.random.default_rng(5)
+    for _ in range(20):
+        n, wide = int(random.integers(2, 6)), 10e-3
+        around = 2 * np.pi * (np.arange(n) + random.uniform(-0.1, 0.1, n)) / n
+        robot = BundleRobot((one,) * n, tuple(random.uniform(2.2e-3, 4e-3, n)), tuple(around), sheath_diameter=wide)
+        x, y = wide / 2 * np.mgrid[-1:1:401j, -1:1:401j]
+        to_tubes = np.hypot(*(np.stack([x, y])[..., None] - robot.axes.T[:, None, None])) - 1e-3
+        brute = 2 * np.minimum(to_tubes.min(-1), wide / 2 - np.hypot(x, y)).max()
+        assert brute <= channel_between(robot).diameter + 1e-12 < brute + wide / 200
 
 
 def test_robot_files_keep_a_bundle(tmp_path: Path, uneven: Any) -> None:

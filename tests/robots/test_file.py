@@ -271,6 +271,11 @@ PROBLEMS = [
     ),
     ("kind: concentric", "kind: concentric\nname: 3", "name is 3; it must be text"),
     ("kind: concentric", "kind: concentric\nnmae: x", "nmae is not a known key; did you mean 'name'?"),
+    (
+        "kind: concentric",
+        "kind: concentric\nsheath_diameter_mm: 5",
+        "sheath_diameter_mm is not a known key; it is one of kind: bundle",
+    ),
     ("kind: concentric", "kind: concentric\n7: x", "[7] is not a known key; keys are text"),
     ("kind: concentric", "kind: concentric\nlimits: 3", "limits is 3; it must be a mapping of keys to values"),
     (

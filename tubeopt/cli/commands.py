@@ -95,7 +95,8 @@ COMMANDS: dict[str, StudyCommand | str] = {
         "fatigue",
         """Count the strain cycles of the tubes along a repeated motion, and estimate their life.
 
-        A motion that does not end where it begins is repeated forth and back.""",
+        A motion that does not end where it begins is repeated forth and back. The tubes must be concentric, without
+        slots.""",
         arguments={"robot": ROBOT, "along": ("MOTION.csv", PATH)},
         example="tubeopt fatigue thesis_ctr turn_and_back --out results",
     ),

@@ -236,6 +236,7 @@ def check(
     where: str | PathLike[str],
     *,
     names: Mapping[str, str] | None = None,
+    kinds: Mapping[str, type[BaseModel]] | None = None,
 ) -> Model:
     """Build an instance of `model` from data.
 
@@ -244,6 +245,7 @@ def check(
     Args:
         where: path of the file with the data; messages begin with it, and paths in the data are relative to it.
         names: names in messages of top-level keys that are not from this file; "" omits the key.
+        kinds: models of other kinds of file, which may have a key that this one lacks.
 
     Raises:
         InputError: one line per problem.
@@ -259,14 +261,14 @@ def check(
             LOGGER.warning(f"{where}: {sentence}" if str(where) else sentence)
         return entry
     names = names or {}
-    kinds = [problem for problem in problems if problem["loc"] == ("kind",)]
-    if kinds and "kind" not in names:  # in a file of another kind all keys are wrong
-        problems = kinds
+    of_kind = [problem for problem in problems if problem["loc"] == ("kind",)]
+    if of_kind and "kind" not in names:  # in a file of another kind all keys are wrong
+        problems = of_kind
     sentences = []
     for problem in problems:
         # A flag is in no file: its message begins with the flag.
         prefix = f"{where}: " if str(where) and problem["loc"][:1] not in {(name,) for name in names} else ""
-        sentences += [prefix + sentence for sentence in _sentences(model, dict(problem), names)]
+        sentences += [prefix + sentence for sentence in _sentences(model, dict(problem), names, kinds or {})]
     raise InputError("\n".join(sentences))
 
 
@@ -296,10 +298,15 @@ def check_kind(
         elif kind in ROBOT_FILE_KINDS:
             hint = f"; this is a robot file, and a {_either(list(kinds))} file is required"
         raise InputError(f"{prefix}kind is {shown(kind)}; {allowed}{hint}")
-    return check(kinds[kind], data, where, names=names)
+    return check(kinds[kind], data, where, names=names, kinds=kinds)
 
 
-def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mapping[str, str]) -> list[str]:
+def _sentences(
+    model: type[BaseModel],
+    problem: Mapping[str, Any],
+    names: Mapping[str, str],
+    kinds: Mapping[str, type[BaseModel]],
+) -> list[str]:
     """Sentences on a problem: path, value, and allowed values. A file named in the data may have several."""
     loc: Sequence[int | str] = problem["loc"]
     path, value, context = path_of(loc, names), problem["input"], problem.get("ctx", {})
@@ -311,7 +318,9 @@ def _sentences(model: type[BaseModel], problem: Mapping[str, Any], names: Mappin
             known = [name for name in _known_keys(model, loc[:-1]) if name != key]  # another alternative may have it
             if key == "kind":
                 return [f"this is a file of kind {shown(value)}; another kind is required here"]
-            return [f"{path} is not a known key{suggest_key(key, known)}"]
+            owners = [kind for kind, other in kinds.items() if len(loc) == 1 and key in other.model_fields]
+            elsewhere = f"; it is one of kind: {_either(owners)}" if owners else ""
+            return [f"{path} is not a known key{suggest_key(key, known) or elsewhere}"]
         case "invalid_key":
             return [f"{path} is not a known key; keys are text"]
         case "value_error" if isinstance(context["error"], InputError):

@@ -172,7 +172,9 @@ def in_input_units(sentence: str) -> str:
 
 
 _NUMBER = re.compile(r"-?\d[\d.]*(?:e[-+]?\d+)?")
-_SEVERAL = rf"(?<![\w.])((?:{_NUMBER.pattern}(?:, | to | and ))*{_NUMBER.pattern})"
+# "segment 2, 90 mm" is no list: the number after such a word is that of a part.
+_PART = "".join(rf"(?<!\b{part} )" for part in ("tube", "segment", "piece", "row", "pose", "point", "section"))
+_SEVERAL = rf"(?<![\w.]){_PART}((?:{_NUMBER.pattern}(?:, | to | and ))*{_NUMBER.pattern})"
 _TYPED = tuple(
     (re.compile(rf"{_SEVERAL} {unit}(?![\w/^²]| m\b)"), typed, size)
     for unit, typed, size in (("N m", "mN m", 1e3), ("N", "mN", 1e3), ("m", "mm", TO_MM), ("rad", "deg", 180 / math.pi))

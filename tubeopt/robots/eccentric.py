@@ -668,30 +668,36 @@ def free_channel(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) 
 def channel_between(robot: EccentricRobot | SegmentedEccentricRobot | BundleRobot) -> Channel:
     """Largest circle inside the sheath that touches no tube; its diameter is negative where tubes overlap everywhere.
 
-    It is found by branch and bound on squares of the cross-section, to 1e-10 of the sheath.
+    A largest circle touches three of tubes and sheath, or a tube and the sheath opposite to it.
     """
     centre = robot.axes
     outer = np.array([tube.outer_diameter / 2 for tube in robot.tubes])
-    widest = 2 * float((np.hypot(*centre.T) + outer).max())
-    radius = (getattr(robot, "sheath_diameter", None) or widest) / 2
+    distance = np.hypot(*centre.T)
+    radius = (getattr(robot, "sheath_diameter", None) or 2 * float((distance + outer).max())) / 2
 
     def clearance(at: Array) -> Array:
         """Radius (P,) of the free circle around each point (P, 2)."""
         to_tubes = np.linalg.norm(at[:, None] - centre, axis=2) - outer
         return np.asarray(np.minimum(to_tubes.min(1), radius - np.linalg.norm(at, axis=1)))
 
-    # A grid that is refined around its best points: the room is 1-Lipschitz, so that a cell of half-width r that could
-    # hold a better point has a room of at least best - r sqrt 2 at its centre.
-    half = radius / 16
-    axis = np.arange(-radius + half, radius, 2 * half)
-    cells = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    best = np.zeros(2)
-    while half > 1e-10 * radius:
-        free = clearance(cells)
-        if free.max() > clearance(best[None])[0]:
-            best = cells[int(free.argmax())]
-        cells = cells[free >= clearance(best[None])[0] - half * math.sqrt(2)]
-        half /= 2
-        corners = half * np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
-        cells = (cells[:, None] + corners).reshape(-1, 2)
+    away = np.where(distance[:, None] > 0, -centre / np.maximum(distance, 1e-300)[:, None], (1.0, 0.0))
+    points = [np.zeros(2), *(away * (radius + outer - distance)[:, None] / 2)]
+    # From inside, the sheath is a circle of negative radius: |p - c| = r + f for a circle of radius f around p.
+    circles = [*zip(centre, outer, strict=True), (np.zeros(2), -radius)]
+    for three in combinations(circles, 3):
+        c, r = np.array([each[0] for each in three]), np.array([each[1] for each in three])
+        # Differences of the squares are linear in (p, f): a line, on which one of the squares is a quadratic.
+        rows = 2 * np.column_stack([c[1:] - c[0], r[1:] - r[0]])
+        right = (c[1:] ** 2).sum(1) - (c[0] ** 2).sum() - r[1:] ** 2 + r[0] ** 2
+        start, line = np.linalg.lstsq(rows, right, rcond=None)[0], np.cross(*rows)
+        line /= np.linalg.norm(line) or 1.0
+        sign, from_circle = np.array([1, 1, -1]), start + np.append(-c[0], r[0])
+        a, b, q = (
+            float((sign * one * two).sum())
+            for one, two in ((line, line), (line, from_circle), (from_circle, from_circle))
+        )
+        root = math.sqrt(max(b * b - a * q, 0.0))
+        steps = [(-b + root) / a, (-b - root) / a] if abs(a) > 1e-12 else [-q / (2 * b)] if b else []
+        points += [(start + step * line)[:2] for step in steps]
+    best = max(points, key=lambda point: float(clearance(point[None])[0]))
     return Channel(2 * float(clearance(best[None])[0]), (float(best[0]), float(best[1])), None)

@@ -214,6 +214,8 @@ class RobotReport(Report[AnyRobot]):
         tubes = self.record()["tubes"]
         cells = []
         for quantity in NESTED:
+            if all(tube[quantity.key] is None for tube in tubes):
+                continue
             name = f"{quantity.about} ({quantity.sign})" if quantity.unit else quantity.about
             cells.append([name, *(_cell(tube[quantity.key]) for tube in tubes)])
         carriages = self.answer.home_translations * TO_MM
