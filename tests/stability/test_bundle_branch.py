@@ -106,3 +106,11 @@ def test_both_jumps_of_ends_that_pass_are_found() -> None:
         assert snap is not None
         assert snap.rotations == pytest.approx(fold, abs=1e-6)
         assert snap.tip_jump == pytest.approx(jump, rel=5e-3)
+
+
+def test_three_ends_at_one_place_are_named() -> None:
+    """Three stable orders of ends by symmetry, and between them a kink of the energy in two directions."""
+    robot = load_robot("thesis_etr")
+    assert isinstance(robot, EccentricRobot)
+    with pytest.raises(SolveError, match=r"tubes 1, 2 and 3 end within .* stable in 3 orders"):
+        find_equilibria(robot.bundle(), np.radians([0.0, 120.0, -120.0]))

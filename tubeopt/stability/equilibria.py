@@ -564,6 +564,9 @@ def bundle_equilibria(
 
     Returns:
         Lowest potential energy first; without an energy, largest margin first.
+
+    Raises:
+        SolveError: the set is not complete, as where three ends meet.
     """
     first = forward_kinematics(robot, rotations, translations, load=load)
     if load is None and snap_free_certificate(robot, translations) > CERTAIN:
@@ -573,7 +576,11 @@ def bundle_equilibria(
     sequence, count = scipy.stats.qmc.Sobol(robot.n_tubes + 4, seed=0), LOADED_STARTS
     while count <= search.most_loaded_starts:
         starts = _bundle_starts(robot, rotations, translations, load, sequence.random(count))
-        new = sum(add(found, member, x) for member, x in starts)
+        new = 0
+        for member, x in starts:
+            if add(found, member, x):
+                new += 1
+                _refuse_meeting_ends(found)
         new += _descend(found, explored)
         if descends:
             new += sum(keep(found, ridge) for point in list(found) for ridge in ridges_beside(point))
@@ -585,6 +592,33 @@ def bundle_equilibria(
         f"{len(found)} equilibria were found with degree {degree(found)} instead of 1: one is missing, joint values "
         "are at a fold, or three ends of tubes meet"
     )
+
+
+MEETING = 1e-5
+"""Distance (m) of three ends below which an arm that is stable in three of their orders makes the search fail."""
+
+
+def _refuse_meeting_ends(found: list[Any]) -> None:
+    """Raise SolveError if arms are stable in three orders of three ends at one place.
+
+    Between them there is an equilibrium with all three ends together: a kink of the energy in several directions, of
+    which no section has the equations.
+    """
+    orders = set[tuple[int, ...]]()
+    for point in found:
+        if point.margin > 0:
+            ends = to_equilibrium(point, "search from many starts").tube_end
+            last = np.argsort(ends)[-3:]
+            if len(last) == 3 and np.ptp(ends[last]) < MEETING:
+                orders.add(tuple(int(i) for i in last))
+    same = [order for order in orders if sum(set(order) == set(other) for other in orders) >= 3]
+    if same:
+        first, second, third = sorted(i + 1 for i in same[0])
+        raise SolveError(
+            f"tubes {first}, {second} and {third} end within {MEETING:g} m of one another, and the arm is stable in "
+            f"{len(same)} orders of these ends; the unstable equilibria between the orders cannot be found. Other "
+            "rotations or lengths of the tubes separate the ends"
+        )
 
 
 def _bundle_starts(
