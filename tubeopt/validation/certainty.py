@@ -67,6 +67,13 @@ ROW_STEP, FINE_STEP, NEAR_LEAST, SMALL_MARGIN = 0.05, 0.01, 0.15, 0.6
 # Most of these configurations, of either step.
 MOST_ROWS = 400
 
+# Rays on which the least of a quantity is searched, and where on them, relative to the radius of a probability. The
+# second starts from the slopes at the least on the first.
+RAYS, PARTS_OF_RAY = 2, (0.25, 0.5, 0.75, 1.0)
+
+# Steps of descent of the least margin of a path: a third of them reach the radius of a probability.
+DESCENT = 18
+
 # Steps of the search for the least margin; later ones change its third digit.
 SEARCH = 4
 
@@ -174,7 +181,7 @@ class RealRobots:
         return Slopes(tips @ self.factor + follows @ self.plate, margins @ self.factor)
 
     def least(self, quantity: Callable[[Array], float], probabilities: Sequence[float]) -> Array:
-        """(len(probabilities),) bounds on a quantity of z (K,), along its steepest descent.
+        """(len(probabilities),) bounds on a quantity of z (K,): the least on rays of steepest descent within |z| <= b.
 
         Where a robot does not exist, or has no such equilibrium, the quantity is 0.
         """
@@ -185,17 +192,24 @@ class RealRobots:
             except (InputError, SolveError):
                 return 0.0
 
-        given = value(np.zeros(self.size))
-        # Infinite distances have no slope: the greatest loss is that of the robots that have none.
-        changed = [value(SECANT * row) for row in np.eye(self.size)]
-        descent = np.array([0.0 if x == given else np.clip(given - x, -BOUND, BOUND) for x in changed])
-        size = float(np.linalg.norm(descent))
-        if not size:
-            return np.full(len(probabilities), given)
-        order = np.argsort(probabilities)
-        found = [value(scipy.special.ndtri(p) * descent / size) for p in np.array(probabilities)[order]]
-        # What a robot loses that is nearer it loses at higher probabilities too.
-        return np.minimum.accumulate([given, *found])[1:][np.argsort(order)]
+        radii = scipy.special.ndtri(np.array(probabilities))
+        at, worst = value(np.zeros(self.size)), np.zeros(self.size)
+        least = np.full(len(radii), at)
+        for _ in range(RAYS):
+            # Infinite distances have no slope: the greatest loss is that of the robots that have none.
+            changed = [value(worst + SECANT * row) for row in np.eye(self.size)]
+            descent = np.array([0.0 if x == at else np.clip(at - x, -BOUND, BOUND) for x in changed])
+            if not (size := float(np.linalg.norm(descent))):
+                break
+            # A robot may snap on the way and not at the end: a path then leads past the other side of a fold.
+            steps = np.unique(np.outer(radii, PARTS_OF_RAY))
+            found = np.array([value(step * descent / size) for step in steps])
+            least = np.minimum(least, [found[steps <= radius].min() for radius in radii])
+            k = int(found.argmin())
+            at, worst = found[k], steps[k] * descent / size
+            if at <= 0:
+                break
+        return least
 
 
 @lru_cache(maxsize=32)
@@ -409,6 +423,57 @@ def certificate_bounds(
     return reals.least(value, probabilities)
 
 
+@dataclass(frozen=True, eq=False)
+class _RealPath:
+    """Path of real robots at the readings of joint values (T, n) of the calibrated one."""
+
+    first: Equilibrium
+    """Equilibrium of the calibrated robot at the first row."""
+    reals: RealRobots
+    rotations: Array
+    translations: Array
+
+    def followed(self, z: Array) -> Path:
+        """Motion of the robot of z, on the branch of the first equilibrium."""
+        real, load = self.reals.at(z, self.rotations, self.translations), self.first.load
+        start = forward_kinematics(real.robot, real.rotations[0], real.translations[0], load=load, start=self.first)
+        return follow(real.robot, real.rotations, real.translations, load=load, start=start)
+
+    def least_margin(self, radius: float, rows: Sequence[int]) -> float:
+        """Least margin met by steps of descent within |z| <= radius, of the least margin of some rows; 0 for a snap."""
+        z, least = np.zeros(self.reals.size), np.inf
+        for _ in range(DESCENT):
+            try:
+                way = self.followed(z)
+                if way.snaps:
+                    return 0.0
+                least = min(least, *(near.margin for near in way.equilibria))
+                # The least of a path changes by what changes the margin there: the row of the least does not count.
+                k = min(rows, key=lambda row: way.equilibria[row].margin)
+                joints = self.rotations[k], self.translations[k]
+                slope = self.reals.slopes(way.equilibria[k], z, joints).margin
+            except (InputError, SolveError):
+                return 0.0
+            if not slope.any() or least <= 0:
+                break
+            z = z - 3 * radius / DESCENT * slope / np.linalg.norm(slope)
+            z *= min(1.0, radius / np.linalg.norm(z))
+        return max(least, 0.0)
+
+    def clearance(self, z: Array, scene: Scene, rows: Sequence[int]) -> float:
+        """Smallest distance of the robot of z from bodies at some rows, m; 0 if it snaps."""
+        way = self.followed(z)
+        if way.snaps:
+            return 0.0
+        turn, shift = np.split(self.reals.plate @ z, 2)
+        matrix = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
+        distances = []
+        for near in (way.equilibria[k] for k in rows):
+            arm = replace(near.arm, position=near.position @ matrix.T + shift, frame=matrix @ near.frame)
+            distances.append(ArmSurface(replace(near, arm=arm)).clearance(scene))
+        return min(distances)
+
+
 def path_bounds(
     first: Equilibrium,
     rotations: Array,
@@ -425,49 +490,34 @@ def path_bounds(
     Raises:
         InputError: a probability is not between 0.5 and 1.
     """
-    reals = real_robots(first.robot)
+    reals, n = real_robots(first.robot), first.robot.n_tubes
     check_probabilities(probabilities)
     if reals is None or first.robot.posterior is None:
         return None
     joints = np.hstack([rotations, translations])
-    moved = np.abs(np.diff(np.hstack([rotations, 20.0 * translations]), axis=0)).max(1)
+    moved = np.abs(np.diff(joints * np.repeat([1.0, 20.0], n), axis=0)).max(1)
     travelled = np.append(0.0, np.cumsum(moved))
 
-    def interpolated(at: Array) -> tuple[Array, Array]:
+    def path_at(at: Array) -> _RealPath:
         table = np.column_stack([np.interp(at, travelled, column) for column in joints.T])
-        return table[:, : first.robot.n_tubes], table[:, first.robot.n_tubes :]
-
-    def followed(real: Real) -> Path:
-        start = forward_kinematics(real.robot, real.rotations[0], real.translations[0], load=first.load, start=first)
-        return follow(real.robot, real.rotations, real.translations, load=first.load, start=start)
+        return _RealPath(first, reals, table[:, :n], table[:, n:])
 
     coarse, fine = (
         np.linspace(0, travelled[-1], 1 + min(int(np.ceil(travelled[-1] / step)), MOST_ROWS))
         for step in (ROW_STEP, FINE_STEP)
     )
-    calibrated = followed(reals.at(np.zeros(reals.size), *interpolated(coarse)))
-    margins = np.array([near.margin for near in calibrated.equilibria])
-    near_least = np.interp(fine, coarse, margins) < min(margins.min() + NEAR_LEAST, SMALL_MARGIN)
-    rows = np.union1d(coarse, fine[near_least])
-    path, cleared = interpolated(rows), np.flatnonzero(np.isin(rows, coarse)).tolist()
-
-    @lru_cache(maxsize=4 * reals.size)
-    def least(z: tuple[float, ...]) -> tuple[float, float]:
-        way = followed(reals.at(np.array(z), *path))
-        if way.snaps:
-            return 0.0, 0.0
-        turn, shift = np.split(reals.plate @ np.array(z), 2)
-        matrix = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix()
-        margin, clearance = min(near.margin for near in way.equilibria), np.inf
-        if scene is not None:
-            for near in (way.equilibria[k] for k in cleared):
-                arm = replace(near.arm, position=near.position @ matrix.T + shift, frame=matrix @ near.frame)
-                clearance = min(clearance, ArmSurface(replace(near, arm=arm)).clearance(scene))
-        return margin, clearance
-
-    least_margins = reals.least(lambda z: least(tuple(z.tolist()))[0], probabilities)
-    clearances = np.full(len(least_margins), np.inf)
+    margins = np.array([near.margin for near in path_at(coarse).followed(np.zeros(reals.size)).equilibria])
+    limit = min(margins.min() + NEAR_LEAST, SMALL_MARGIN)
+    at = np.union1d(coarse, fine[np.interp(fine, coarse, margins) < limit])
+    path, small = path_at(at), np.interp(at, coarse, margins) < limit
+    # Each part of the path with a small margin has a least of its own.
+    parts = [part.tolist() for part in np.split(np.arange(len(at)), np.flatnonzero(np.diff(small)) + 1)]
+    parts = [part for part in parts if small[part[0]]] or [list(range(len(at)))]
+    radii = scipy.special.ndtri(probabilities)
+    least = tuple(min(path.least_margin(float(radius), part) for part in parts) for radius in radii)
+    clearances = np.full(len(least), np.inf)
     if scene is not None and scene.bodies:
-        reserve = scipy.special.ndtri(probabilities) * first.robot.posterior.misfit
-        clearances = reals.least(lambda z: least(tuple(z.tolist()))[1], probabilities) - reserve
-    return PathBounds(tuple(probabilities), tuple(least_margins.tolist()), tuple(clearances.tolist()))
+        rows = np.flatnonzero(np.isin(at, coarse)).tolist()
+        distances = reals.least(lambda z: path.clearance(z, scene, rows), probabilities)
+        clearances = distances - radii * first.robot.posterior.misfit
+    return PathBounds(tuple(probabilities), least, tuple(clearances.tolist()))

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -222,14 +223,15 @@ TUBES = (*RUBBING, "clearance", "piece_curvature", "dead_length", "fade", "learn
 MOUNTS = ("plate_shift", "plate_tilt", "sensor_offset", "sensor_tilt")
 
 
-def shapes_of(robot: Robot) -> list[TubeShape | None]:
+@lru_cache(maxsize=32)
+def shapes_of(robot: Robot) -> tuple[TubeShape | None, ...]:
     """Shape of every kind of tube, None of others than those made of the pieces of a `TubeShape`.
 
     A change along a tube is a learned one if the posterior says so.
     """
     named = () if robot.posterior is None else robot.posterior.names
     learned = {name.split("_")[2] for name in named if name.startswith("learned_curvature_")}
-    return [shape_of(tube, learned=str(k) in learned) for k, tube in enumerate(members(robot), start=1)]
+    return tuple(shape_of(tube, learned=str(k) in learned) for k, tube in enumerate(members(robot), start=1))
 
 
 def _between(robot: Robot) -> dict[str, Array]:
