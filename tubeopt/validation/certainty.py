@@ -456,8 +456,8 @@ class _RealPath:
                 return 0.0
             if not slope.any() or least <= 0:
                 break
-            z = z - 3 * radius / DESCENT * slope / np.linalg.norm(slope)
-            z *= min(1.0, radius / np.linalg.norm(z))
+            z = z - 3 * radius / DESCENT * slope / float(np.linalg.norm(slope))
+            z = z * min(1.0, radius / float(np.linalg.norm(z)))
         return max(least, 0.0)
 
     def clearance(self, z: Array, scene: Scene, rows: Sequence[int]) -> float:
