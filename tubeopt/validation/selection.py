@@ -68,6 +68,12 @@ EVIDENCE = 2.0
 CROOKED = 30.0
 
 
+# Fraction of the folds without which an effect must be chosen, too (stability selection: Meinshausen and Buehlmann,
+# J. R. Stat. Soc. B 72 (2010)). Of 60 robots with six effects 55 have no false effect in place of 51, for 6 of 108 true
+# ones; at 0.6 it is 58 for 16.
+STEADY = 0.4
+
+
 # Fraction of the folds that must agree on the effects.
 SETTLED = 0.8
 
@@ -129,7 +135,7 @@ class Comparison(Displayed):
     chosen_anew: ErrorSummary
     """Held-out tip errors that include the choice of effects, to first order around the fit, m.
 
-    Each fold is predicted by the effects chosen by all other folds.
+    Each fold is predicted by the effects chosen by all other folds, steady or not.
     """
     chosen_by_fold: Annotated[tuple[tuple[str, ...], ...], "effects that are chosen without each held-out block"]
     """Effects that all other folds choose, for every fold."""
@@ -248,7 +254,7 @@ class _Search:
         self._stand(self.initial_trial)
 
     def run(self) -> None:
-        """Search better sets; prefer earlier effects of the table; drop effects that are not worth their cost."""
+        """Search better sets; prefer earlier effects of the table; drop effects not worth their cost, or unsteady."""
         for _ in range(ROUNDS):
             better = self._better()
             if better is None:
@@ -258,6 +264,16 @@ class _Search:
             self._move(first)
         while (fewer := self._fewer()) is not None:
             self._move(fewer)
+        while (steadier := self._steadier()) is not None:
+            self._move(steadier)
+
+    def _steadier(self) -> _Trial | None:
+        """Set without the effect that fewest folds choose, if these are fewer than STEADY of them; None otherwise."""
+        chosen, folds = self.sets.chosen_anew().sets, len(np.unique(self.fold))
+        count = {kind: sum(kind in each for each in chosen) for kind in self.now.effects}
+        unsteady = sorted((kind for kind in count if count[kind] < STEADY * folds), key=lambda kind: count[kind])
+        tried = (self._tried(Effects(self.now.effects) - {kind}) for kind in unsteady)
+        return next((trial for trial in tried if trial is not None), None)
 
     def _move(self, trial: _Trial) -> None:
         self.passed += self.now.effects
