@@ -256,11 +256,15 @@ def step_to(family: Family, t: float, point: P, before: P | None = None) -> P | 
     # A guess on the branch converges in three to five steps; more than eight, or slow contraction, are a sign of
     # another branch.
     result = member.solve(x, iterations=8)
-    if not result.converged or result.contraction > LARGEST_RATIO:
+    if not result.converged:
+        return None
+    # Where ends pass each other the first iterations open a section, and say nothing about the branch.
+    reorders = member.reorders(point, result.state)
+    if result.contraction > LARGEST_RATIO and not reorders:
         return None
     # Newton's method may converge well to a neighbouring branch, but not within this distance.
     limit = largest_twist(point.margin)
-    if member.reorders(point, result.state):
+    if reorders:
         limit = min(limit, LARGEST_EXCHANGE)
     if member.distance(point, result.state) > limit:
         return None
