@@ -105,7 +105,7 @@ class LinearisedBundle:
     along: Array | None = None
     """Combinations (.., Q) of these columns that replace them, or None."""
     border: Array | None = None
-    """Null vector (U,) of a singular Hessian: changes of the unknowns are orthogonal to it. None at others."""
+    """Null vector (U,) of a singular Hessian: changes of the unknowns are orthogonal to it. Else None."""
 
     def __post_init__(self) -> None:
         bundle = self.state.problem.bundle

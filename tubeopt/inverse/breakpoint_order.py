@@ -115,7 +115,7 @@ def breakpoints(assembly: Assembly, tubes: Sequence[int]) -> list[float]:
 def breakpoints_at_zero(space: JointSpace) -> list[tuple[int, float]]:
     """Carriage of each breakpoint, from 0, and its arc length, m, if the translation of the carriage were 0.
 
-    None of a bundle, whose sections follow from its bending.
+    Empty for a bundle: its sections follow from its bending.
     """
     robot = space.robot
     if not robot.fixed_sections:

@@ -448,7 +448,7 @@ class _RealPath:
                 if way.snaps:
                     return 0.0
                 least = min(least, *(near.margin for near in way.equilibria))
-                # The least of a path changes by what changes the margin there: the row of the least does not count.
+                # At the least of a path the margin does not change along it, so only the robot's change counts.
                 k = min(rows, key=lambda row: way.equilibria[row].margin)
                 joints = self.rotations[k], self.translations[k]
                 slope = self.reals.slopes(way.equilibria[k], z, joints).margin
