@@ -10,10 +10,10 @@ least margin of the real robot. The true robot keeps it, and so do all robots dr
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -95,8 +95,7 @@ def record(day: int, count: int) -> Measurements:
     return Measurements(read[:, :2], read[:, 2:], seen, time=time + 1e4 * day, source=f"day {day + 1}")
 
 
-@dataclass(frozen=True)
-class Driven:
+class Driven(NamedTuple):
     """Least margins on a plan; 0 where a robot snaps."""
 
     bound: float
@@ -163,7 +162,7 @@ def plot_three_days(data: tuple[Fit, Driven]) -> Figure:
             name = f"day {day + 1}" if line == "-" else None
             middle.plot(np.percentile(errors, cumulative) / MM, cumulative, line, color=colour, label=name)
     middle.set(xlabel="tip error (mm)", ylabel="rows with less (%)", xlim=(0, None), ylim=(0, 100))
-    middle.set_title("dotted: as drawn; solid: from other days", fontsize=8)
+    middle.plot([], [], ":", color="grey", label="as drawn")
     middle.legend(loc="lower right", fontsize=7)
     right.hist(driven.drawn, 15, color=tube_colour(2), alpha=0.6, label="robots drawn")
     right.axvline(driven.bound, color="black", linestyle="--", label="99.9 % have more")
